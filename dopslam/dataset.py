@@ -1,0 +1,272 @@
+"""The dataset file: every noun of the pipeline in one HDF5 file that can be entered and left anywhere.
+
+Layout, schema version 1: one group per record (``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …), one dataset
+per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the seed at the
+root. Each group but ``signal`` carries the sha256 of its content; every dataset carries a fletcher32 checksum. Files are
+written beside their target, synced and moved into place, so that a file is either the old one or the new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+
+from dopslam.errors import DatasetError, DopslamError
+
+SCHEMA = "dopslam"
+SCHEMA_VERSION = 1
+_LIBVER = ("v110", "v110")  # checksummed metadata: a damaged file is noticed, not misread
+
+UNITS = {
+    "time": "s", "position": "m", "heading": "rad", "velocity": "m/s", "bias": "m", "start": "m, m, rad, m",
+    "tau": "s", "theta_t": "rad", "phi_t": "rad", "theta_r": "rad", "phi_r": "rad", "doppler": "Hz", "vertices": "m",
+    "delay": "s", "aoa": "rad", "aod": "rad", "radial_velocity": "m/s", "noise_variance": "W", "gain": "sqrt(W)",
+    "state": "m, m, rad, m", "y": "sqrt(W)",
+}  # fmt: skip
+
+Record = TypeVar("Record")
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[h5py.File]:
+    """Open a copy of ``path`` (or a new file) for writing and move it into place when all went well."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise DatasetError(f"{path}: the folder {str(path.parent)!r} does not exist; create it first")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot write in {str(path.parent)!r} ({error.strerror})") from error
+    part = Path(name)
+    try:
+        if path.exists():
+            _check_schema_of(path)
+            shutil.copyfile(path, part)
+            mode = "r+"
+        else:
+            mode = "w"
+        with h5py.File(part, mode, libver=_LIBVER) as file:
+            if mode == "w":
+                file.attrs["schema"] = SCHEMA
+                file.attrs["schema_version"] = SCHEMA_VERSION
+            yield file
+        with open(part, "rb+") as raw:
+            os.fsync(raw.fileno())
+        os.chmod(part, 0o644)
+        os.replace(part, path)
+    except OSError as error:
+        raise DatasetError(f"{path}: writing failed ({error}); the file is as it was") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _check_schema_of(path: Path) -> None:
+    with _reading(path):
+        pass
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[h5py.File]:
+    path = Path(path)
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such dataset file; make one with 'dopslam trace SCENE --out {path}'")
+    try:
+        file = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        raise DatasetError(f"{path}: not a readable HDF5 file, truncated or damaged ({error})") from error
+    with file:
+        schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
+        if schema != SCHEMA:
+            raise DatasetError(f"{path}: schema is {schema!r}, expected {SCHEMA!r}; not a dopslam dataset")
+        if version != SCHEMA_VERSION:
+            raise DatasetError(
+                f"{path}: schema version {version!r}, this program reads version {SCHEMA_VERSION}; make the file anew"
+            )
+        try:
+            yield file
+        except DopslamError:
+            raise
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            raise DatasetError(f"{path}: damaged content ({error})") from error
+
+
+def _digest(columns: dict[str, np.ndarray], scalars: dict[str, Any]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(columns):
+        array = np.ascontiguousarray(columns[name])
+        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
+        digest.update(array.tobytes() if array.dtype.kind != "O" else "\0".join(map(str, array)).encode())
+    for name in sorted(scalars):
+        digest.update(f"{name}={scalars[name]!r};".encode())
+    return digest.hexdigest()
+
+
+def _split(record) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    columns, scalars = {}, {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if value is None:
+            continue
+        if isinstance(value, np.ndarray):
+            columns[field.name] = value.astype(object) if value.dtype.kind in "UO" else value
+        else:
+            scalars[field.name] = value
+    return columns, scalars
+
+
+def content_hash(record) -> str:
+    """sha256 of a record's content: names, types, shapes and values of its fields, independent of time and host."""
+    return _digest(*_split(record))
+
+
+def write_record(path: str | Path, group: str, record, scenario_toml: str | None = None, seed: int | None = None) -> None:
+    """Add or replace one record of a dataset file.
+
+    Parameters
+    ----------
+    path : file, made if missing
+    group : name of the group, for instance ``"paths"``
+    record : a frozen dataclass of arrays and scalars
+    scenario_toml, seed : set at the root when given
+
+    Raises
+    ------
+    DatasetError
+        When the target exists but is no dataset, or cannot be written. The old file is then untouched.
+    """
+    write_records(path, {group: record}, scenario_toml, seed)
+
+
+def write_records(path, records: dict[str, Any], scenario_toml: str | None = None, seed: int | None = None) -> None:
+    """Add or replace several records at once; see :func:`write_record`."""
+    with _replacing(Path(path)) as file:
+        if scenario_toml is not None:
+            file.attrs["scenario"] = scenario_toml
+        if seed is not None:
+            file.attrs["seed"] = seed
+        for group, record in records.items():
+            _write_group(file, group, record)
+
+
+def _write_group(file: h5py.File, group: str, record) -> None:
+    if group in file:
+        del file[group]
+    node = file.create_group(group)
+    columns, scalars = _split(record)
+    node.attrs["record"] = type(record).__name__
+    node.attrs["sha256"] = _digest(columns, scalars)
+    for name, value in scalars.items():
+        node.attrs[name] = value
+    for name, array in columns.items():
+        dtype = h5py.string_dtype() if array.dtype.kind == "O" else array.dtype
+        chunked = {"fletcher32": True} if array.size and array.dtype.kind != "O" else {}
+        dataset = node.create_dataset(name, data=array, dtype=dtype, **chunked)
+        dataset.attrs["units"] = UNITS.get(name, "1")
+
+
+def read_record(path: str | Path, group: str, record_type: type[Record]) -> Record:
+    """Read one record and verify its checksum.
+
+    Raises
+    ------
+    DatasetError
+        Missing file or group, damaged or foreign content; the message says which command makes the group.
+    """
+    with _reading(Path(path)) as file:
+        return _read_group(file, Path(path), group, record_type)
+
+
+def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Record]) -> Record:
+    if group not in file:
+        have = ", ".join(sorted(file)) or "nothing"
+        raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); run the stage that makes it first")
+    node = file[group]
+    values: dict[str, Any] = {}
+    columns, scalars = {}, {}
+    for field in dataclasses.fields(record_type):  # type: ignore[arg-type]
+        if field.name in node:
+            array = node[field.name][()]
+            if array.dtype.kind == "O":
+                array = np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
+            columns[field.name] = array
+            values[field.name] = array.astype(str) if array.dtype.kind == "O" else array
+        elif field.name in node.attrs:
+            value = node.attrs[field.name]
+            scalars[field.name] = values[field.name] = value.item() if isinstance(value, np.generic) else value
+        elif field.default is not dataclasses.MISSING:
+            values[field.name] = field.default
+        elif "None" in str(field.type):
+            values[field.name] = None
+        else:
+            raise DatasetError(f"{path}: {group}/{field.name} is missing; the group is not a {record_type.__name__}")
+    if "sha256" in node.attrs and node.attrs["sha256"] != _digest(columns, scalars):
+        raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
+    try:
+        return record_type(**values)
+    except DopslamError as error:
+        raise DatasetError(f"{path}: {group}: {error}") from error
+
+
+def read_root(path: str | Path) -> tuple[str, int]:
+    """The scenario as TOML text and the seed that a dataset was made with."""
+    with _reading(Path(path)) as file:
+        if "scenario" not in file.attrs:
+            raise DatasetError(f"{path}: holds no scenario; name one with --scenario")
+        return str(file.attrs["scenario"]), int(file.attrs.get("seed", 0))
+
+
+def groups(path: str | Path) -> list[str]:
+    """Names of the records a dataset holds."""
+    with _reading(Path(path)) as file:
+        return sorted(file)
+
+
+def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) -> None:
+    """Stream the received signal into a dataset: ``signal/y`` (steps, …) complex64, one snapshot a chunk."""
+    with _replacing(Path(path)) as file:
+        if "signal" in file:
+            del file["signal"]
+        node = file.create_group("signal")
+        dataset = None
+        for step, y in enumerate(snapshots):
+            if dataset is None:
+                dataset = node.create_dataset(
+                    "y", (steps, *y.shape), np.complex64, chunks=(1, *y.shape), fletcher32=True
+                )
+                dataset.attrs["units"] = UNITS["y"]
+            dataset[step] = y
+
+
+def read_snapshot(path: str | Path, step: int) -> np.ndarray:
+    """One snapshot of the stored signal, complex64."""
+    with _reading(Path(path)) as file:
+        if "signal" not in file:
+            raise DatasetError(f"{path}: holds no 'signal'; run 'dopslam synthesize {path}' first")
+        return file["signal/y"][step]
+
+
+def signal_steps(path: str | Path) -> int:
+    """Number of stored snapshots, 0 if the dataset holds no signal."""
+    with _reading(Path(path)) as file:
+        return file["signal/y"].shape[0] if "signal" in file else 0
+
+
+def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
+    """Rows (group, array, shape, type, units) of everything a dataset holds."""
+    with _reading(Path(path)) as file:
+        return [
+            (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(data.attrs.get("units", "")))
+            for group in sorted(file)
+            for name, data in file[group].items()
+        ]

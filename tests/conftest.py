@@ -1,0 +1,15 @@
+"""Test set-up: one BLAS thread, tracing in one worker only."""
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import pytest
+
+
+def pytest_collection_modifyitems(items):
+    """Keep tracing tests together: every process that traces compiles its own kernels."""
+    for item in items:
+        if item.get_closest_marker("rt"):
+            item.add_marker(pytest.mark.xdist_group("rt"))
