@@ -82,23 +82,23 @@ def _reading(path: Path) -> Iterator[h5py.File]:
     if not path.is_file():
         raise DatasetError(f"{path}: no such dataset file; make one with 'dopslam trace SCENE --out {path}'")
     try:
-        file = h5py.File(path, "r")
-    except (OSError, RuntimeError) as error:
-        raise DatasetError(f"{path}: not a readable HDF5 file, truncated or damaged ({error})") from error
-    with file:
-        schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
-        if schema != SCHEMA:
-            raise DatasetError(f"{path}: schema is {schema!r}, expected {SCHEMA!r}; not a dopslam dataset")
-        if version != SCHEMA_VERSION:
-            raise DatasetError(
-                f"{path}: schema version {version!r}, this program reads version {SCHEMA_VERSION}; make the file anew"
-            )
-        try:
+        with h5py.File(path, "r") as file:
+            _check_schema(path, file)
             yield file
-        except DopslamError:
-            raise
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            raise DatasetError(f"{path}: damaged content ({error})") from error
+    except DopslamError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise DatasetError(f"{path}: not a readable dataset, truncated or damaged ({error})") from error
+
+
+def _check_schema(path: Path, file: h5py.File) -> None:
+    schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
+    if schema != SCHEMA:
+        raise DatasetError(f"{path}: schema is {schema!r}, expected {SCHEMA!r}; not a dopslam dataset")
+    if version != SCHEMA_VERSION:
+        raise DatasetError(
+            f"{path}: schema version {version}, this program reads version {SCHEMA_VERSION}; make the file anew"
+        )
 
 
 def _digest(columns: dict[str, np.ndarray], scalars: dict[str, Any]) -> str:
