@@ -100,6 +100,24 @@ class Landmarks:
 
 
 @dataclass(frozen=True)
+class FloorPlan:
+    """Outlines of a scene's objects seen from above, for drawing.
+
+    Attributes
+    ----------
+    name : (W,) str
+    offsets : (W + 1,), points : (·, 2) m, polyline of each object
+    """
+
+    name: np.ndarray
+    offsets: np.ndarray
+    points: np.ndarray
+
+    def __post_init__(self):
+        _check_offsets("FloorPlan", self.offsets, len(self.points))
+
+
+@dataclass(frozen=True)
 class Paths:
     """Ray-traced propagation paths of K steps, ragged.
 
