@@ -1,0 +1,1 @@
+"""What moves, what is measured and when it is detected: models shared by filters, bounds and simulation."""

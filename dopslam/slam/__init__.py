@@ -1,0 +1,1 @@
+"""From detections to a map: EK-PMB filters and belief propagation."""
