@@ -147,6 +147,7 @@ class SourceModel(_Frozen):
     sp_range: Positive | None = 50.0  # m, a scatter point is visible within; None: everywhere
     clutter_rate: NonNegative = 1.0  # false detections per scan
     clutter_range: Positive = 300.0  # m, clutter delays lie within [bias, bias + this]
+    virtual_anchors: tuple[Vector3, ...] = ()  # m; without a trace the walls have to be named by their VAs
 
 
 class SourceTraced(_Frozen):
