@@ -1,0 +1,118 @@
+"""Measurements as the filters read them: delays as lengths, one record for a whole run.
+
+The conversion from an estimator's delays in seconds to c·τ in metres happens here and nowhere else: with variances of
+1e-18 s² beside 1e4 m² every covariance form fails.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.errors import FilterError
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
+
+Array = NDArray[np.float64]
+
+CLUTTER = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Scans:
+    """Measurements of K steps, ragged: step k owns rows `offsets[k]:offsets[k + 1]`.
+
+    Attributes
+    ----------
+    z : (N, 6) array
+        c·τ + bias [m], AOA az, AOA el, AOD az, AOD el [rad], radial velocity [m/s]; AOA azimuth from the heading,
+        AOD in world axes.
+    covariance : (N, 6, 6) array
+        R of every measurement.
+    offsets : (K + 1,) int array
+    clutter_count : float
+        Expected false measurements per scan.
+    search_volume : float
+        Volume [m·rad⁴·m/s] over which they spread.
+    doppler_span : float
+        Width of the Doppler part of that volume [m/s], divided out when Doppler is not used.
+    snr : (N,) array or None
+        Post-integration SNR ρ, linear.
+    label : (N,) int array or None
+        True landmark of each measurement, -1 for clutter; only for simulated data, never read by a filter.
+    """
+
+    z: Array
+    covariance: Array
+    offsets: NDArray[np.int64]
+    clutter_count: float
+    search_volume: float
+    doppler_span: float
+    snr: Array | None = None
+    label: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.z)
+        if self.z.shape != (n, 6) or self.covariance.shape != (n, 6, 6):
+            raise FilterError(
+                f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; expected (N, 6), (N, 6, 6)"
+            )
+        if self.offsets[0] != 0 or self.offsets[-1] != n or np.any(np.diff(self.offsets) < 0):
+            raise FilterError(f"Scans.offsets must rise from 0 to {n}, got {self.offsets[0]} … {self.offsets[-1]}")
+        if not (np.isfinite(self.z).all() and np.isfinite(self.covariance).all()):
+            raise FilterError("Scans: z or covariance holds non-finite values; drop those measurements")
+        if not (self.clutter_count > 0 and self.search_volume > 0 and self.doppler_span > 0):
+            raise FilterError(
+                "Scans: clutter_count, search_volume and doppler_span must be positive "
+                f"(got {self.clutter_count}, {self.search_volume}, {self.doppler_span})"
+            )
+        variances = np.einsum("nii->ni", self.covariance)
+        if n and not (variances > 0).all():
+            row = int(np.argmin(variances.min(axis=1)))
+            raise FilterError(f"Scans.covariance[{row}] has a variance ≤ 0: {variances[row]}; every component needs noise")
+
+    @property
+    def steps(self) -> int:
+        """Number of scans K."""
+        return len(self.offsets) - 1
+
+    def rows(self, step: int) -> slice:
+        """Rows of one scan."""
+        return slice(int(self.offsets[step]), int(self.offsets[step + 1]))
+
+    def clutter_intensity(self, doppler: bool) -> float:
+        """c(z), expected false measurements per unit volume, with or without the Doppler dimension."""
+        return self.clutter_count / (self.search_volume / (1.0 if doppler else self.doppler_span))
+
+
+def from_detections(
+    detections: DetectionSeries, *, bs_yaw: float = 0.0, doppler_span: float, minimum_clutter: float = 1e-3
+) -> Scans:
+    """Channel estimates of a run as measurements of the filters.
+
+    Parameters
+    ----------
+    detections : DetectionSeries
+        Delays in seconds with the clock bias, covariances in SI units.
+    bs_yaw : float
+        Azimuth [rad] of the BS frame's x axis in the world; added to the AOD azimuth.
+    doppler_span : float
+        Width of the estimator's search in radial velocity [m/s], twice its maximum.
+    minimum_clutter : float
+        Least expected number of false paths per scan that is believed.
+    """
+    scale = np.array([SPEED_OF_LIGHT, 1.0, 1.0, 1.0, 1.0, 1.0])
+    z = np.column_stack(
+        [detections.delay * SPEED_OF_LIGHT, detections.aoa, detections.aod, detections.radial_velocity]
+    ).astype(float)
+    z[:, 3] = (z[:, 3] + bs_yaw + np.pi) % (2 * np.pi) - np.pi
+    return Scans(
+        z=z,
+        covariance=detections.covariance * scale[:, None] * scale,
+        offsets=np.asarray(detections.offsets, dtype=np.int64),
+        clutter_count=max(float(detections.false_alarm_rate), minimum_clutter),
+        search_volume=float(detections.search_volume),
+        doppler_span=doppler_span,
+        snr=np.asarray(detections.snr, dtype=float),
+    )
