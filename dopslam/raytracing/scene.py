@@ -1,0 +1,208 @@
+"""Loads a scene: an XML file or one of Sionna's own, with its materials checked for the carrier frequency.
+
+Everything a user can get wrong in a scene file is found here and said in one sentence, before the ray tracer sees it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dopslam.errors import SceneError
+from dopslam.raytracing.backend import backend
+from dopslam.raytracing.endpoints import mend
+from dopslam.raytracing.surfaces import Surfaces, build_surfaces
+
+ABSORBER = "absorber"
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Where a scene comes from.
+
+    Attributes
+    ----------
+    path : a scene file, or the name of a scene that Sionna ships, such as ``"simple_street_canyon"``
+    materials : material (its id in the file, or its ITU type) → ITU type to use instead, or ``"absorber"``
+    """
+
+    path: str | Path
+    materials: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene in the ray tracer (``scene``, a ``sionna.rt.Scene``) and its surfaces as arrays."""
+
+    scene: object
+    surfaces: Surfaces
+    name: str
+
+
+def builtin_scenes() -> dict[str, Path]:
+    """Scenes that Sionna ships, by name; does not import it."""
+    spec = importlib.util.find_spec("sionna")
+    roots = [Path(root) / "rt" / "scenes" for root in (spec.submodule_search_locations if spec else None) or ()]
+    files = {path.name: path / f"{path.name}.xml" for root in roots if root.is_dir() for path in sorted(root.iterdir())}
+    return {name: path for name, path in files.items() if path.is_file()}
+
+
+def scene_file(path: str | Path) -> Path:
+    """The XML file of a scene path or built-in name.
+
+    Raises
+    ------
+    SceneError
+        If there is no such file or built-in scene; names the nearest.
+    """
+    if Path(path).is_file():
+        return Path(path)
+    shipped = builtin_scenes()
+    if str(path) in shipped:
+        return shipped[str(path)]
+    near = difflib.get_close_matches(str(path), shipped, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"give an existing file or one of {', '.join(sorted(shipped))}"
+    raise SceneError(f"scene {str(path)!r} is neither a file nor a scene that Sionna ships; {hint}")
+
+
+def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
+    """Load a scene for tracing at ``carrier_frequency`` [Hz].
+
+    Raises
+    ------
+    SceneError
+        If the file is missing or broken, or a material is undefined at this frequency.
+    LLVMError
+        If the ray tracer cannot run on this machine.
+    """
+    file = scene_file(source.path)
+    rt, mi = backend()
+    try:
+        root = ET.fromstring(file.read_text(encoding="utf-8"))
+    except (ET.ParseError, UnicodeDecodeError, OSError) as error:
+        raise SceneError(f"{file}: not a readable XML file ({error})") from error
+    _map_materials(root, source.materials, file)
+    _check_materials(root, carrier_frequency, file)
+    previous = mi.file_resolver()
+    resolver = mi.FileResolver(previous)
+    resolver.append(str(file.parent))
+    try:
+        mi.set_file_resolver(resolver)
+        # Merging shapes, the default, would destroy the names of the walls.
+        scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
+        scene.frequency = carrier_frequency
+    except (RuntimeError, ValueError, TypeError, AssertionError) as error:
+        raise SceneError(f"{file}: the ray tracer refuses it ({_one_line(error)})") from error
+    finally:
+        mi.set_file_resolver(previous)
+    mend(scene)
+    pattern = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
+    scene.tx_array = scene.rx_array = pattern
+    meshes = {name: _triangles(item.mi_mesh) for name, item in sorted(scene.objects.items())}
+    return LoadedScene(scene, build_surfaces(meshes), file.stem)
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return " ".join(lines)[-300:]
+
+
+def _triangles(mesh) -> np.ndarray:
+    vertices = np.asarray(mesh.vertex_positions_buffer(), dtype=float).reshape(-1, 3)
+    return vertices[np.asarray(mesh.faces_buffer(), dtype=np.intp).reshape(-1, 3)]
+
+
+def _materials(root: ET.Element) -> list[ET.Element]:
+    return [bsdf for bsdf in root.findall("./bsdf") + root.findall(".//shape/bsdf")]
+
+
+def _names(bsdf: ET.Element) -> list[str]:
+    """Names by which a material can be called: its id with and without prefix, and its ITU type."""
+    name = bsdf.get("id", "")
+    plain = name.removeprefix("mat-")
+    return [name, plain, *([itu] if (itu := _itu_type(bsdf)) else [])]
+
+
+def _itu_type(bsdf: ET.Element) -> str | None:
+    """ITU type of a material element, by Sionna's rules; None if it is none."""
+    plain = bsdf.get("id", "").removeprefix("mat-")
+    by_name = plain.startswith(("itu_", "itu-"))
+    if not by_name and bsdf.get("type") != "itu-radio-material":
+        return None
+    stated = bsdf.find("string[@name='type']")
+    return stated.get("value") if stated is not None else plain[4:] if by_name else None
+
+
+def _itu_table() -> dict[str, dict]:
+    rt, _ = backend()
+    return rt.radio_materials.itu.ITU_MATERIALS_PROPERTIES
+
+
+def _map_materials(root: ET.Element, mapping: Mapping[str, str], file: Path) -> None:
+    """Replace materials in place, as the scenario's ``[scene.materials]`` asks."""
+    known, table = sorted({name for bsdf in _materials(root) for name in _names(bsdf) if name}), _itu_table()
+    for old, new in mapping.items():
+        if new != ABSORBER and new not in table:
+            near = difflib.get_close_matches(new, [*table, ABSORBER], n=1)
+            raise SceneError(
+                f"[scene.materials] {old} = {new!r}: no such ITU material"
+                + (f", did you mean {near[0]!r}?" if near else f"; known are {', '.join(table)} and {ABSORBER}")
+            )
+        if old not in known:
+            near = difflib.get_close_matches(old, known, n=1)
+            raise SceneError(
+                f"[scene.materials] {old}: {file.name} has no such material"
+                + (f", did you mean {near[0]!r}?" if near else f"; it has {', '.join(known) or 'none'}")
+            )
+    for bsdf in _materials(root):
+        new = next((mapping[name] for name in _names(bsdf) if name in mapping), None)
+        if new is None:
+            continue
+        thickness = bsdf.find("float[@name='thickness']")
+        old_id = bsdf.get("id", "")
+        bsdf.clear()
+        if new == ABSORBER:
+            # The id must not look like an ITU material's, or Sionna turns it back into one.
+            fresh = f"absorbing-{old_id}"
+            bsdf.attrib.update(type="absorber-radio-material", id=fresh)
+            for reference in root.iter("ref"):
+                if reference.get("id") == old_id:
+                    reference.set("id", fresh)
+            continue
+        bsdf.attrib.update(type="itu-radio-material", id=old_id)
+        ET.SubElement(bsdf, "string", name="type", value=new)
+        if thickness is not None:
+            bsdf.append(thickness)
+
+
+def _check_materials(root: ET.Element, carrier_frequency: float, file: Path) -> None:
+    """Refuse ITU materials that Recommendation P.2040 does not define at this frequency."""
+    table = _itu_table()
+    for bsdf in _materials(root):
+        itu = _itu_type(bsdf)
+        if itu is None:
+            continue
+        name = bsdf.get("id", "")
+        users = [
+            shape.get("id", "?").removeprefix("mesh-")
+            for shape in root.iter("shape")
+            if bsdf in list(shape) or any(reference.get("id") == name for reference in shape.iter("ref"))
+        ]
+        if not users:
+            continue
+        where = f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
+        if itu not in table:
+            near = difflib.get_close_matches(itu, table, n=1)
+            raise SceneError(f"{where} has the unknown ITU type {itu!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+        if not any(low <= carrier_frequency / 1e9 <= high for low, high in table[itu]):
+            ranges = ", ".join(f"{low:g} to {high:g} GHz" for low, high in table[itu])
+            raise SceneError(
+                f"{where} is {itu!r}, which is defined for {ranges} and not at {carrier_frequency / 1e9:g} GHz; map it "
+                f'in the scenario: [scene.materials] {name.removeprefix("mat-")} = "concrete" (or another ITU type)'
+            )
