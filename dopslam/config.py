@@ -59,7 +59,6 @@ class PlanarArray(_Frozen):
     columns: Count
     rows: Count
     spacing_wavelengths: Positive = 0.5
-    pattern: Literal["isotropic", "patch"] = "isotropic"
 
 
 class CustomArray(_Frozen):

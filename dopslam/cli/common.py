@@ -1,0 +1,59 @@
+"""What the verbs share: option types, the progress display."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from typing import Annotated
+
+from cyclopts import Parameter
+
+Settings = Annotated[list[str] | None, Parameter(name="--set", negative=())]
+Progress = Callable[[str, int, int], None]
+
+
+def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
+    """``--set`` texts plus the flags that are shorthand for scenario keys."""
+    return [*(settings or []), *(f"{key.replace('__', '.')}={value}" for key, value in flags.items() if value)]
+
+
+def doppler_choice(text: str | None) -> tuple[bool, float | None]:
+    """``--doppler-std``: whether Doppler is used, and its standard deviation [m/s] if one is given."""
+    from dopslam.errors import ConfigError
+
+    if text is None:
+        return True, None
+    if text.lower() == "none":
+        return False, None
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise ConfigError(f"--doppler-std {text!r}: give a positive number in m/s, or none")
+    return True, value
+
+
+def worker_count(jobs: int | None) -> int:
+    """Number of worker processes: the one asked for, or one for each core that this process may use."""
+    return jobs or len(os.sched_getaffinity(0))
+
+
+@contextlib.contextmanager
+def progress_display() -> Iterator[Progress]:
+    """A callback (stage, done, total) drawn as one bar per stage on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bars
+
+    columns = (TextColumn("{task.description:<11}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, object] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
+
+        yield report

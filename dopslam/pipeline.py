@@ -1,0 +1,243 @@
+"""The stages, one function each: trace → synthesize → estimate → slam → bound → evaluate.
+
+Every stage takes and returns records, so that anyone can enter or leave at any of them. Random numbers come from
+``SeedSequence(seed, spawn_key=(component, step))``: results do not depend on the number of workers or on which stages ran
+in the same process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from dopslam import dataset, radio
+from dopslam.config import Scenario, parse
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
+
+Progress = Callable[[str, int, int], None]
+
+
+class Component(IntEnum):
+    """Who draws random numbers; the first part of every spawn key."""
+
+    TRACK = 0
+    SCATTER = 1
+    NOISE = 2
+    DETECTIONS = 3
+
+
+def generator(seed: int, component: Component, step: int = 0) -> np.random.Generator:
+    """Random generator of one component and step."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(component), step)))
+
+
+def quiet(stage: str, done: int, total: int) -> None:
+    """Progress callback that shows nothing."""
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What the tracer leaves: the truth of a run."""
+
+    track: Track
+    landmarks: Landmarks
+    paths: Paths
+    plan: FloorPlan
+
+
+def draw_track(scenario: Scenario, seed: int) -> Track:
+    """The receiver's true track: drawn from the motion model, eq. (1), or exactly its mean."""
+    from dopslam.simulate import simulate_track
+
+    config = scenario.track
+    rng = generator(seed, Component.TRACK) if config.random else None
+    return simulate_track(
+        motion=motion_model(scenario),
+        mean=np.array(config.start),
+        std=np.array(config.start_std),
+        steps=config.steps,
+        height=scenario.receiver.height,
+        rng=rng,
+    )
+
+
+def motion_model(scenario: Scenario):
+    """Coordinated turn with the scenario's speed and turn rate, both known to the filter."""
+    from dopslam.models.motion import CoordinatedTurn
+
+    config = scenario.track
+    return CoordinatedTurn(
+        interval=config.period,
+        process_noise=np.diag(np.square(config.process_std)),
+        speed=config.speed,
+        turn_rate=config.turn_rate,
+    )
+
+
+def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
+    """Drive the track through the scene and trace every path of every step.
+
+    Raises
+    ------
+    SceneError, LLVMError
+        See :class:`dopslam.raytracing.Tracer`.
+    """
+    from dopslam import raytracing
+
+    track = draw_track(scenario, seed)
+    carrier = scenario.radio.carrier_frequency
+    source = raytracing.SceneSource(scenario.scene_file or scenario.scene.builtin, scenario.scene.materials)
+    points = raytracing.ScatterPoints(
+        names=tuple(p.name for p in scenario.scatter_point),
+        positions=np.array([p.position for p in scenario.scatter_point]).reshape(-1, 3),
+        rcs=np.array([p.rcs for p in scenario.scatter_point]),
+        phases=generator(seed, Component.SCATTER).uniform(0, 2 * np.pi, len(scenario.scatter_point)),
+    )
+    settings = raytracing.TraceSettings(
+        max_depth=scenario.trace.max_depth, samples=scenario.trace.samples, seed=scenario.trace.seed
+    )
+    progress("trace", 0, track.steps)
+    loaded = raytracing.load_scene(source, carrier)
+    landmarks, paths = raytracing.trace(
+        loaded, carrier, scenario.base_station.position, track.position, track.velocity, points, settings
+    )
+    progress("trace", track.steps, track.steps)
+    return Traced(track, landmarks, paths, _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height)))
+
+
+def _plan(outlines: list[tuple[str, np.ndarray]]) -> FloorPlan:
+    counts = [len(line) for _, line in outlines]
+    return FloorPlan(
+        name=np.array([name for name, _ in outlines], dtype=str),
+        offsets=np.concatenate([[0], np.cumsum(counts)]).astype(int),
+        points=np.concatenate([line for _, line in outlines]) if outlines else np.zeros((0, 2)),
+    )
+
+
+def synthesize_snapshot(scenario: Scenario, track: Track, paths: Paths, step: int, seed: int) -> np.ndarray:
+    """Received signal of one step, eq. (2): complex64 (subcarriers, symbols, receive elements) in √W."""
+    from estimation import synthesize
+
+    rng = generator(seed, Component.NOISE, step)
+    table = radio.path_table(scenario, track, paths, step)
+    return synthesize(_model(scenario.to_toml()), table, radio.noise_variance(scenario), rng)
+
+
+def synthesize(scenario: Scenario, track: Track, paths: Paths, seed: int, progress: Progress = quiet) -> Iterator[np.ndarray]:
+    """Snapshots of all steps, one at a time."""
+    for step in range(paths.steps):
+        yield synthesize_snapshot(scenario, track, paths, step, seed)
+        progress("synthesize", step + 1, paths.steps)
+
+
+@lru_cache(maxsize=2)
+def _model(scenario_toml: str):
+    """The signal model of a scenario; kept since its codebooks serve every snapshot."""
+    return radio.signal_model(parse(scenario_toml))
+
+
+@lru_cache(maxsize=2)
+def _estimator(scenario_toml: str, threshold: float | None = None):
+    """The estimator of a scenario; kept since its dictionaries serve every snapshot.
+
+    Without ``threshold`` it is calibrated on noise for the scenario's false-alarm rate.
+    """
+    from estimation import Nomp
+
+    config = parse(scenario_toml).estimator
+    return Nomp(
+        _model(scenario_toml),
+        false_alarm_rate=config.false_alarm_rate,
+        max_speed=config.max_radial_velocity,
+        max_paths=config.max_paths,
+        threshold=threshold,
+    )
+
+
+@dataclass(frozen=True)
+class SyntheticSignal:
+    """Snapshots made when asked for: none is ever stored."""
+
+    scenario_toml: str
+    track: Track
+    paths: Paths
+    seed: int
+
+    @property
+    def steps(self) -> int:
+        """Number of snapshots."""
+        return self.paths.steps
+
+    def snapshot(self, step: int) -> np.ndarray:
+        """Received signal of one step."""
+        return synthesize_snapshot(parse(self.scenario_toml), self.track, self.paths, step, self.seed)
+
+
+@dataclass(frozen=True)
+class StoredSignal:
+    """Snapshots read from a dataset file, perhaps somebody else's."""
+
+    path: Path
+    steps: int
+
+    def snapshot(self, step: int) -> np.ndarray:
+        """Received signal of one step."""
+        return dataset.read_snapshot(self.path, step)
+
+
+def _estimate_steps(scenario_toml: str, threshold: float, signal, steps: list[int]) -> list:
+    estimator = _estimator(scenario_toml, threshold)
+    return [(step, estimator.run(signal.snapshot(step))) for step in steps]
+
+
+def estimate(
+    scenario: Scenario, signal: SyntheticSignal | StoredSignal, jobs: int = 1, progress: Progress = quiet
+) -> DetectionSeries:
+    """Detections of every snapshot, estimated without a look at the truth.
+
+    Parameters
+    ----------
+    scenario : its radio and estimator parts are used
+    signal : where snapshots come from
+    jobs : worker processes; the result does not depend on it
+    progress : callback (stage, done, total)
+    """
+    from joblib import Parallel, delayed
+
+    text = scenario.to_toml()
+    chunk = max(1, min(5, signal.steps // jobs))
+    chunks = [list(range(first, min(first + chunk, signal.steps))) for first in range(0, signal.steps, chunk)]
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    found: dict[int, object] = {}
+    progress("estimate", 0, signal.steps)
+    threshold = _estimator(text).threshold  # calibrated once, on noise alone
+    for done in parallel(delayed(_estimate_steps)(text, threshold, signal, steps) for steps in chunks):
+        found.update(done)
+        progress("estimate", len(found), signal.steps)
+    return stack_detections(scenario, [found[step] for step in range(signal.steps)])
+
+
+def stack_detections(scenario: Scenario, snapshots: list) -> DetectionSeries:
+    """Detections of single snapshots (``estimation.Detections``) as one record."""
+    model = _model(scenario.to_toml())
+    speed = scenario.estimator.max_radial_velocity
+    # Azimuths cover the circle, elevations count as (−π/2, π/2): the volume that false paths can fall into.
+    volume = model.waveform.max_delay * SPEED_OF_LIGHT * (2 * np.pi * np.pi) ** 2 * 2 * speed
+    counts = [len(d.delay) for d in snapshots]
+
+    def column(name):
+        return np.concatenate([getattr(d, name) for d in snapshots])
+
+    return DetectionSeries(
+        offsets=np.concatenate([[0], np.cumsum(counts)]),
+        **{n: column(n) for n in ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr")},
+        noise_variance=np.array([d.noise_variance for d in snapshots]),
+        threshold=float(snapshots[0].threshold),
+        false_alarm_rate=scenario.estimator.false_alarm_rate,
+        search_volume=float(volume),
+    )

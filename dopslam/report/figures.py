@@ -1,0 +1,155 @@
+"""Figures of one run that a person understands without the code.
+
+Every function takes records and returns a matplotlib figure; :func:`save_all` writes them. No pyplot state.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
+
+TRUE, ESTIMATE, BOUND, VA, SP, RAY, WALL = "#000000", "#0072B2", "#D55E00", "#E69F00", "#009E73", "#9aa5b1", "#6b7280"
+_CHI2_95_2D = 5.991  # 95 % ellipse of a two-dimensional Gaussian
+
+
+def house_style():
+    """Context manager with the shipped style."""
+    style = mpl.rc_params_from_file(
+        str(files("dopslam.report") / "dopslam.mplstyle"), use_default_template=False
+    )
+    return mpl.rc_context(style)
+
+
+def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, label: str | None = None) -> None:
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2 * np.sqrt(_CHI2_95_2D * np.maximum(values, 0))
+    angle = np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))
+    axes.add_patch(
+        Ellipse(mean, width, height, angle=angle, fill=False, color=color, linewidth=1.2, label=label, zorder=4)
+    )
+
+
+def plan_view(plan: FloorPlan | None, track: Track, landmarks: Landmarks, paths: Paths | None, result, step: int) -> Figure:
+    """Scene from above: objects, true and estimated track and map with 95 % ellipses, rays of one step.
+
+    Parameters
+    ----------
+    plan : outlines of the scene's objects, or None
+    track, landmarks, paths : the truth; paths may be None (detections drawn from the model)
+    result : what the filter said (see ``dopslam.slam``): ``mean`` (K, 4), ``covariance`` (K, 4, 4), ``final_map()``
+    step : whose rays are drawn
+    """
+    figure = Figure(figsize=(7.4, 7.0))
+    axes = figure.add_subplot()
+    if plan is not None:
+        for w in range(len(plan.name)):
+            line = plan.points[plan.offsets[w] : plan.offsets[w + 1]]
+            axes.plot(*line.T, color=WALL, linewidth=2.2, label="walls, objects" if w == 0 else None, zorder=1)
+    bs = landmarks.position[landmarks.kind == Kind.BS][0]
+    if paths is not None:
+        _rays(axes, bs, track, paths, step)
+    axes.plot(*bs[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5)
+    axes.plot(*track.position[:, :2].T, color=TRUE, linewidth=1.2, label="true track", zorder=3)
+    for kind, marker, name in ((Kind.VA, "s", "virtual anchors"), (Kind.SP, "o", "scatter points")):
+        where = landmarks.position[landmarks.kind == kind]
+        axes.plot(*where[:, :2].T, marker, mfc="none", mec=TRUE, markersize=9, label=f"true {name}", linestyle="none", zorder=3)
+    if result is not None:
+        axes.plot(*result.mean[:, :2].T, ".", color=ESTIMATE, markersize=5, label="estimated track", zorder=4)
+        for k in range(0, len(result.mean), max(1, len(result.mean) // 10)):
+            _ellipse(axes, result.mean[k, :2], result.covariance[k, :2, :2], ESTIMATE)
+        estimate = result.final_map()
+        for kind, color, marker, name in ((Kind.VA, VA, "s", "virtual anchors"), (Kind.SP, SP, "o", "scatter points")):
+            chosen = estimate.kind == kind
+            where, spread = estimate.position[chosen], estimate.covariance[chosen]
+            axes.plot(*where[:, :2].T, marker, color=color, markersize=5, label=f"estimated {name}", linestyle="none", zorder=4)
+            for mean, covariance in zip(where, spread, strict=True):
+                _ellipse(axes, mean[:2], covariance[:2, :2], color)
+    axes.set(xlabel="x [m]", ylabel="y [m]", title="Scene, track and map from above (95 % ellipses)")
+    axes.set_aspect("equal", adjustable="datalim")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _rays(axes, bs: np.ndarray, track: Track, paths: Paths, step: int) -> None:
+    rows = paths.rows(step)
+    for count, n in enumerate(range(rows.start, rows.stop)):
+        vertices = paths.vertices[paths.vertex_offsets[n] : paths.vertex_offsets[n + 1]]
+        line = np.vstack([bs, vertices, track.position[step]])
+        label = f"traced rays, step {step + 1}" if count == 0 else None
+        axes.plot(*line[:, :2].T, color=RAY, linewidth=0.9, label=label, zorder=2)
+
+
+def errors_over_time(evaluation) -> Figure:
+    """Position, heading and clock errors beside their bounds, one panel each."""
+    figure = Figure(figsize=(7.0, 6.4))
+    panels = (
+        ("position [m]", evaluation.position_error, evaluation.peb, "PEB"),
+        ("heading [°]", np.degrees(evaluation.heading_error), np.degrees(evaluation.heb), "HEB"),
+        ("clock bias [m]", evaluation.bias_error, evaluation.ceb, "CEB"),
+    )
+    axes = figure.subplots(len(panels), 1, sharex=True)
+    steps = np.arange(1, len(evaluation.position_error) + 1)
+    for ax, (name, error, bound, bound_name) in zip(axes, panels, strict=True):
+        ax.semilogy(steps, np.maximum(np.abs(error), 1e-6), ".-", color=ESTIMATE, linewidth=1, label="error of this run")
+        ax.semilogy(steps, bound, color=BOUND, label=f"{bound_name} (standard deviation)")
+        ax.set_ylabel(name)
+        ax.legend(loc="upper right", ncols=2)
+    axes[0].set_title("Errors beside the posterior Cramér–Rao bound")
+    axes[-1].set_xlabel("step")
+    return figure
+
+
+def gospa_over_time(evaluation) -> Figure:
+    """GOSPA of virtual anchors and scatter points over time."""
+    figure = Figure()
+    axes = figure.add_subplot()
+    steps = np.arange(1, len(evaluation.gospa_va) + 1)
+    axes.plot(steps, evaluation.gospa_va, "s-", color=VA, markersize=4, label="virtual anchors")
+    axes.plot(steps, evaluation.gospa_sp, "o-", color=SP, markersize=4, label="scatter points")
+    axes.set(xlabel="step", ylabel="GOSPA [m]", title="Map error", ylim=(0, None))
+    axes.legend()
+    return figure
+
+
+def detections_over_paths(track: Track, landmarks: Landmarks, paths: Paths, detections: DetectionSeries) -> Figure:
+    """What was detected beside what was there: delay and arrival azimuth over the steps."""
+    from dopslam.records import SPEED_OF_LIGHT
+
+    figure = Figure(figsize=(7.2, 6.2))
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    step_of_path = np.repeat(np.arange(paths.steps), np.diff(paths.offsets))
+    step_of_detection = np.repeat(np.arange(detections.steps), np.diff(detections.offsets))
+    delay = paths.tau * SPEED_OF_LIGHT + track.bias[step_of_path]
+    azimuth = np.degrees(_wrap(paths.phi_r - track.heading[step_of_path]))
+    kinds = landmarks.kind[paths.landmark]
+    for kind, color, name in ((Kind.BS, TRUE, "line of sight"), (Kind.VA, VA, "reflections"), (Kind.SP, SP, "scatter points")):
+        chosen = kinds == kind
+        upper.plot(step_of_path[chosen] + 1, delay[chosen], "o", mfc="none", mec=color, markersize=7, label=f"true: {name}")
+        lower.plot(step_of_path[chosen] + 1, azimuth[chosen], "o", mfc="none", mec=color, markersize=7)
+    upper.plot(step_of_detection + 1, detections.delay * SPEED_OF_LIGHT, "x", color=ESTIMATE, markersize=4, label="detected")
+    lower.plot(step_of_detection + 1, np.degrees(detections.aoa[:, 0]), "x", color=ESTIMATE, markersize=4)
+    upper.set(ylabel="delay · c + clock bias [m]", title="Detections over true paths")
+    lower.set(ylabel="arrival azimuth [°]", xlabel="step")
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _wrap(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def save_all(folder: Path, figures: dict[str, Figure]) -> list[Path]:
+    """Write figures as PNG and return their paths."""
+    written = []
+    for name, figure in figures.items():
+        path = Path(folder) / f"{name}.png"
+        figure.savefig(path)
+        written.append(path)
+    return written
