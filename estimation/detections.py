@@ -1,0 +1,94 @@
+"""Detections: what an estimator hands on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+
+from .errors import EstimationError
+from .estimators.detect import detection_probability
+from .signal.directions import Float, unit_vectors
+from .signal.directions import tangents as tangents_of
+from .signal.paths import PathTable
+
+
+class Flag(IntFlag):
+    """What to mind about a detection (a bit field)."""
+
+    NONE = 0
+    CLOSE_PAIR = 1
+    """Its signature overlaps another path's (coherence above 0.3): errors of the two are correlated."""
+    EDGE_OF_VIEW = 2
+    """At or beyond the border of the searched delays, speeds or views."""
+    WEAK = 4
+    """Within 1.5 dB of the detection threshold."""
+    SINGULAR = 8
+    """Information nearly singular (for instance azimuth at a pole); rely on ``direction_covariance``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Paths estimated from one burst, strongest first.
+
+    Attributes
+    ----------
+    delay : (P,) [s]
+    aoa, aod : (P, 2) azimuth and elevation [rad], in the receiver's and transmitter's frame
+    radial_velocity : (P,) [m/s], positive when approaching
+    gain : (P,) complex amplitude at the carrier and burst center
+    covariance : (P, 6, 6) of (delay, AOA az, el, AOD az, el, radial velocity), gains and all other paths as nuisance
+    tangent_covariance : (P, 6, 6) the same with azimuth errors times cos(el), regular at the poles
+    snr : (P,) post-integration SNR rho, linear
+    noise_variance : per whitened sample, estimated or given
+    threshold : on rho
+    false_alarm_rate : expected false paths per snapshot
+    flags : (P,) bits of :class:`Flag`
+    active : (6,) parameters that the link observes; the covariance of the others is infinite
+    """
+
+    delay: Float
+    aoa: Float
+    aod: Float
+    radial_velocity: Float
+    gain: np.typing.NDArray[np.complex128]
+    covariance: Float
+    tangent_covariance: Float
+    snr: Float
+    noise_variance: float
+    threshold: float
+    false_alarm_rate: float
+    flags: np.typing.NDArray[np.uint8]
+    active: np.typing.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.delay)
+
+    @property
+    def vector(self) -> Float:
+        """(P, 6) parameters in the common order."""
+        return np.column_stack([self.delay, self.aoa, self.aod, self.radial_velocity])
+
+    @property
+    def table(self) -> PathTable:
+        """As a path table, for synthesis or as a warm start."""
+        return PathTable(self.delay, self.aoa, self.aod, self.radial_velocity, self.gain)
+
+    def p_d(self, snr) -> Float:
+        """Model probability of detecting a path of true post-integration SNR ``snr`` (linear)."""
+        return detection_probability(snr, self.threshold, int(self.active.sum()))
+
+    def direction_covariance(self, end: str) -> Float:
+        """(P, 3, 3) covariance of the unit vector at ``end`` = "aoa" or "aod"; regular where azimuth is not."""
+        if end not in ("aoa", "aod"):
+            raise EstimationError(f'direction_covariance: end must be "aoa" or "aod", got {end!r}')
+        part = slice(1, 3) if end == "aoa" else slice(3, 5)
+        basis = tangents_of(unit_vectors(getattr(self, end)))
+        return np.einsum("pai,pab,pbj->pij", basis, self.tangent_covariance[:, part, part], basis)
+
+    def take(self, index) -> Detections:
+        """A selection of the paths (index array, mask or slice)."""
+        columns = ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "tangent_covariance", "snr", "flags")
+        rest = ("noise_variance", "threshold", "false_alarm_rate", "active")
+        return Detections(**{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest})

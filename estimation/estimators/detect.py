@@ -1,0 +1,78 @@
+"""Detection: the threshold of the generalized likelihood ratio test, its calibration on noise, and the probability of detection.
+
+A path's statistic is ``rho = (energy lost without it) / sigma^2``. In noise alone it is half a chi-square field with two degrees of freedom
+over the p observable parameters, and Rice's formula gives the expected number of its maxima above a threshold u,
+
+    E[N(u)] = V (2 pi)^{-p/2 - 1} H_p(sqrt(2 u)) exp(-u),    V = 2 pi * integral of sqrt(det M(theta)) d theta,
+
+with M the normalized information of :func:`~estimation.estimators.refine.metric` and H_p the Hermite polynomial. An actual search misses a
+few maxima between its cells, so its effective volume is smaller; :func:`effective_volume` estimates that from noise-only suprema.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import eval_hermitenorm
+from scipy.stats import ncx2
+
+from ..errors import ModelError
+from ..signal.algebra import gram_diagonal
+from ..signal.directions import Float
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry
+from .refine import metric
+
+
+def expected_maxima(threshold, volume: float, parameters: int):
+    """Expected number of noise maxima above ``threshold`` (Rice's formula, leading term)."""
+    u = np.maximum(np.asarray(threshold, float), parameters + 1.0)
+    return volume * (2 * np.pi) ** (-parameters / 2 - 1) * eval_hermitenorm(parameters, np.sqrt(2 * u)) * np.exp(-u)
+
+
+def threshold_for(false_alarm_rate: float, volume: float, parameters: int) -> float:
+    """Threshold on rho with ``false_alarm_rate`` expected false paths per snapshot.
+
+    Raises
+    ------
+    ModelError
+        if the rate is not in (0, 100).
+    """
+    if not 0 < false_alarm_rate < 100:
+        raise ModelError(f"false_alarm_rate must lie between 0 and 100 expected false paths per snapshot, got {false_alarm_rate}")
+    lowest = parameters + 1.0
+    if expected_maxima(lowest, volume, parameters) <= false_alarm_rate:
+        return lowest
+    return brentq(lambda u: float(expected_maxima(u, volume, parameters)) - false_alarm_rate, lowest, 700.0)
+
+
+def search_volume(model: SignalModel, max_delay: float, speeds: tuple[float, float], arrivals: Float, departures: Float,
+                  solid_angles: tuple[float, float], samples: int = 400) -> float:
+    """V of Rice's formula by quasi-random integration over delay, directions (samples of each view) and speed."""
+    rng = np.random.default_rng(0)
+    active = model.active
+    delay = rng.uniform(0, max_delay, samples) if active[0] else np.zeros(samples)
+    speed = rng.uniform(*speeds, samples) if active[5] else np.zeros(samples)
+    geometry = Geometry(delay, arrivals[rng.integers(len(arrivals), size=samples)],
+                        departures[rng.integers(len(departures), size=samples)], speed)
+    matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), active)[:, active][:, :, active]
+    root = np.sqrt(np.maximum(np.linalg.det(matrices), 0)).mean() if active.any() else 1.0
+    extent = (max_delay if active[0] else 1.0) * (speeds[1] - speeds[0] if active[5] else 1.0)
+    for number, pair in enumerate((active[1:3], active[3:5])):
+        # A line sees one angle: its tangent runs over the length, not the area, of the view.
+        extent *= solid_angles[number] if pair.all() else (np.pi if pair.any() else 1.0)
+    return float(2 * np.pi * extent * root)
+
+
+def effective_volume(suprema, parameters: int) -> float:
+    """Maximum-likelihood volume from noise-only suprema: ``P(sup > u) = 1 - exp(-E[N(u)])``."""
+    suprema = np.asarray(suprema, float)
+    return float(len(suprema) / np.sum(expected_maxima(suprema, 1.0, parameters)))
+
+
+def detection_probability(snr, threshold: float, parameters: int = 6):
+    """p_D(rho) = P(chi'^2_{2 + p}(2 rho) > 2 threshold): the p fitted parameters add their noise power to the statistic.
+
+    ``snr`` is the true post-integration SNR rho, linear.
+    """
+    return ncx2.sf(2 * threshold, 2 + parameters, 2 * np.asarray(snr, float))

@@ -1,0 +1,116 @@
+"""Dictionaries of the coarse search: directions that cover an array's view evenly in its own resolution, delays and speeds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable
+
+import numpy as np
+import scipy.fft
+
+from ..errors import ModelError
+from ..signal.arrays import Complex, Manifold
+from ..signal.directions import Float, angles_of, sphere
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Directions searched: azimuth and elevation ranges [rad] in the array's parent frame.
+
+    An azimuth range may pass +-pi (``azimuth=(3.0, 3.5)``). A planar array additionally sees only the half-space it faces.
+    """
+
+    azimuth: tuple[float, float] = (-np.pi, np.pi)
+    elevation: tuple[float, float] = (-np.pi / 2, np.pi / 2)
+
+    def contains(self, directions: Float):
+        """Which unit vectors (P, 3) lie in the view."""
+        az, el = angles_of(directions).T
+        width = self.azimuth[1] - self.azimuth[0]
+        inside = np.mod(az - self.azimuth[0], 2 * np.pi) <= width + 1e-12
+        return inside & (el >= self.elevation[0] - 1e-12) & (el <= self.elevation[1] + 1e-12)
+
+
+def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float, float]:
+    """Evenly spread directions (n, 3) that ``array`` can tell apart within ``view``, and the solid angle they stand for [sr]."""
+    azimuth, elevation = array.observable
+    if azimuth and elevation:
+        points = sphere(count)
+    elif azimuth:
+        az = np.linspace(-np.pi, np.pi, 1440, endpoint=False)
+        points = np.stack([np.cos(az), np.sin(az), 0 * az], axis=1)
+        # One half of the circle mirrors the other about the line of the array; keep the one towards +x.
+        points = points[points[:, 0] > 0]
+    elif elevation:
+        el = np.linspace(-np.pi / 2, np.pi / 2, 720)
+        points = np.stack([np.cos(el), 0 * el, np.sin(el)], axis=1)
+    else:
+        points = np.array([[1.0, 0.0, 0.0]])
+    inside = array.faces(points)
+    if azimuth or elevation:
+        narrowed = View(view.azimuth if azimuth else (-np.pi, np.pi), view.elevation if elevation else (-np.pi / 2, np.pi / 2))
+        inside &= narrowed.contains(points)
+    if not inside.any():
+        raise ModelError(f"view {view} holds no direction that the array can see; widen it or turn the array")
+    return points[inside], 4 * np.pi * inside.sum() / max(len(points), 1)
+
+
+def cover(vectors: Complex, retained: float, limit: int = 2000):
+    """Indices of a subset such that every normalized vector keeps ``|inner product|^2 >= retained`` with one of it (farthest point first)."""
+    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
+    chosen = [0]
+    best = np.abs(unit @ unit[0].conj()) ** 2
+    while best.min() < retained and len(chosen) < limit:
+        worst = int(np.argmin(best))
+        chosen.append(worst)
+        np.maximum(best, np.abs(unit @ unit[worst].conj()) ** 2, out=best)
+    return np.array(chosen)
+
+
+def direction_grid(view: View, array: Manifold, retained: float, seen: Callable[[Complex], Complex] = lambda a: a) -> Float:
+    """Directions (n, 3) covering ``view`` as seen through ``seen`` (beams, combiners), strongest array response first."""
+    points, _ = directions_in(view, array)
+    response = array.response(points)[0]
+    if len(points) == 1:
+        return points
+    return points[cover(seen(response), retained)]
+
+
+@dataclass(frozen=True, eq=False)
+class DelayGrid:
+    """Matched filtering over delay cells, by FFT for a uniform comb and by a matrix product otherwise.
+
+    Attributes
+    ----------
+    delays : (L,) cell centers [s]
+    length : FFT length, or 0 for the matrix
+    matrix : (L, K) or None
+    """
+
+    delays: Float
+    length: int
+    matrix: np.typing.NDArray[np.complex64] | None
+
+    @staticmethod
+    def build(frequencies: Float, spacing: float | None, bandwidth: float, max_delay: float, oversampling: float) -> DelayGrid:
+        """Cells from 0 to ``max_delay`` [s], ``oversampling`` per reciprocal bandwidth."""
+        count = len(frequencies)
+        if count == 1:
+            return DelayGrid(np.zeros(1), 0, np.ones((1, 1), np.complex64))
+        if spacing is not None:
+            length = scipy.fft.next_fast_len(int(np.ceil(oversampling * count)))
+            cells = min(int(np.ceil(max_delay * spacing * length)) + 1, length)
+            delays = np.arange(cells) / (length * spacing)
+            # A short stretch of a long FFT is cheaper as a product.
+            if cells > 0.15 * length:
+                return DelayGrid(delays, length, None)
+        else:
+            delays = np.arange(0, max_delay + 1 / (oversampling * bandwidth), 1 / (oversampling * bandwidth))
+        return DelayGrid(delays, 0, np.exp(2j * np.pi * np.outer(delays, frequencies)).astype(np.complex64))
+
+    def apply(self, signal) -> np.typing.NDArray[np.complex64]:
+        """Matched filter (L, ...) along the first axis of a signal (K, ...), up to a phase per cell."""
+        if self.matrix is not None:
+            return (self.matrix @ signal.reshape(len(signal), -1)).reshape(-1, *signal.shape[1:])
+        columns = signal.reshape(len(signal), -1)
+        return scipy.fft.ifft(columns, self.length, axis=0, norm="forward")[: len(self.delays)].reshape(-1, *signal.shape[1:])

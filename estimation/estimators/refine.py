@@ -1,0 +1,149 @@
+"""Maximum-likelihood refinement: Levenberg-Marquardt with the gains eliminated (variable projection), jointly over all paths.
+
+For whitened data the log-likelihood, with gains at their optimum, is ``b^H G^-1 b / sigma^2`` (``b`` projections on the signatures, ``G``
+their Gram matrix). Gradient and Gauss-Newton matrix follow from projections and Gram matrices only, so that an iteration costs
+one pass over the data. Steps are bounded in the metric of each path's own normalized Fisher information, which knows the width of
+the ambiguity function in every direction, whatever array it comes from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..signal.algebra import gram, gram_diagonal, project
+from ..signal.directions import Float
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry
+
+LARGEST_STEP = 0.8
+"""Longest step of one path in its own metric; the ambiguity function's main lobe ends near 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """Everything one pass over the data tells about a set of paths.
+
+    Attributes
+    ----------
+    geometry : P paths
+    gain : (P,) optimal gains
+    gram : (P, 7, P, 7) Gram matrix of signatures and derivatives
+    explained : energy explained by the paths, ``b^H G^-1 b``
+    gradient : (P, 6) ``Re{conj(g) <d_a s, residual>}``
+    """
+
+    geometry: Geometry
+    gain: np.typing.NDArray[np.complex128]
+    gram: np.typing.NDArray[np.complex128]
+    explained: float
+    gradient: Float
+
+    @property
+    def drop(self) -> Float:
+        """(P,) energy lost when a path is removed without changing the others' parameters: ``|g|^2 / [G^-1]_pp``."""
+        inverse = np.linalg.inv(self.gram[:, 0, :, 0])
+        return np.abs(self.gain) ** 2 / np.maximum(np.diag(inverse).real, 1e-300)
+
+
+def linearize(model: SignalModel, signal, geometry: Geometry) -> Linearization:
+    """Project a whitened ``signal`` on the paths' signatures and derivatives."""
+    blocks = model.evaluate(geometry)
+    inner = project(model, signal, blocks)
+    matrix = gram(blocks, model.columns)
+    plain = matrix[:, 0, :, 0]
+    gain = np.linalg.solve(plain + 1e-9 * np.diag(np.diag(plain)), inner[:, 0])
+    residual = inner - matrix[:, :, :, 0] @ gain
+    gradient = np.real(gain.conj()[:, None] * residual[:, 1:])
+    return Linearization(geometry, gain, matrix, float(np.vdot(inner[:, 0], gain).real), gradient)
+
+
+def information(lin: Linearization, active) -> Float:
+    """Gauss-Newton matrix (6P, 6P) with the gains eliminated; half of sigma^2 times the Fisher information."""
+    paths = len(lin.gain)
+    plain = lin.gram[:, 0, :, 0]
+    mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
+    weight = np.repeat(lin.gain, 6)
+    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(plain, mixed)
+    matrix = np.real(weight.conj()[:, None] * full * weight)
+    idle = np.tile(~np.asarray(active), paths)
+    matrix[idle], matrix[:, idle] = 0.0, 0.0
+    return matrix
+
+
+def metric(grams, active) -> Float:
+    """Normalized information (..., 6, 6) of isolated paths from their Gram matrices (..., 7, 7): the ambiguity function's curvature."""
+    norm = grams[..., 0, 0].real[..., None, None]
+    cross = grams[..., 1:, :1] @ grams[..., :1, 1:]
+    matrix = np.real(grams[..., 1:, 1:] - cross / norm) / norm
+    return matrix * np.outer(active, active)
+
+
+def _bounded(step: Float, lengths: Float, limit: float) -> Float:
+    longest = np.sqrt(np.maximum(np.einsum("pa,pab,pb->p", step, lengths, step), 0))
+    return step * np.minimum(1.0, limit / np.maximum(longest, 1e-300))[:, None]
+
+
+def joint_fit(model: SignalModel, signal, start: Geometry | Linearization, noise_variance: float, tolerance: float = 0.02,
+              iterations: int = 30) -> Linearization:
+    """Joint Levenberg-Marquardt over all paths until the predicted gain in log-likelihood falls below ``tolerance``."""
+    lin = start if isinstance(start, Linearization) else linearize(model, signal, start)
+    damping = 1e-4
+    for _ in range(iterations):
+        paths = len(lin.gain)
+        lengths = metric(np.moveaxis(np.diagonal(lin.gram, axis1=0, axis2=2), -1, 0), model.active)
+        matrix = information(lin, model.active)
+        diagonal = np.diag(matrix).copy()
+        diagonal[diagonal <= 0] = diagonal.max() if diagonal.max() > 0 else 1.0
+        # Scaled to unit diagonal: delays in seconds beside angles would lose every digit otherwise.
+        scale = 1 / np.sqrt(diagonal)
+        scaled = matrix * np.outer(scale, scale) + damping * np.eye(6 * paths)
+        gradient = lin.gradient.ravel() * np.tile(model.active, paths)
+        step = scale * np.linalg.solve(scaled, scale * gradient)
+        if gradient @ step < tolerance * noise_variance:
+            break
+        step = _bounded(step.reshape(paths, 6), lengths, LARGEST_STEP)
+        trial = linearize(model, signal, lin.geometry.moved(step))
+        # Single-precision projections carry an error of about 1e-7 of the explained energy; it must not veto a good step.
+        if trial.explained >= lin.explained * (1 - 1e-6):
+            lin, damping = trial, max(damping / 10, 1e-7)
+        else:
+            damping = max(damping, 1e-3) * 10
+            if damping > 1e6:
+                break
+    return lin
+
+
+def separate_fit(model: SignalModel, signal, geometry: Geometry, iterations: int = 5, tolerance: float = 0.05,
+                 noise_variance: float = 0.0) -> tuple[Geometry, Float]:
+    """Levenberg-Marquardt of P candidates, each alone in ``signal``; returns the geometry and ``|<s, y>|^2 / |s|^2`` (P,)."""
+    def assess(geometry: Geometry):
+        blocks = model.evaluate(geometry)
+        inner = project(model, signal, blocks)
+        own = gram_diagonal(blocks, model.columns)
+        norm = np.maximum(own[:, 0, 0].real, 1e-300)
+        gain = inner[:, 0] / norm
+        gradient = np.real(gain.conj()[:, None] * (inner - own[:, :, 0] * gain[:, None])[:, 1:]) * model.active
+        return np.abs(inner[:, 0]) ** 2 / norm, gradient, metric(own, model.active)
+
+    energy, gradient, lengths = assess(geometry)
+    damping = np.full(len(geometry), 1e-2)
+    for _ in range(iterations):
+        diagonal = np.einsum("paa->pa", lengths)
+        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        scaled = lengths * scale[:, :, None] * scale[:, None] + damping[:, None, None] * np.eye(6)
+        step = scale * np.linalg.solve(scaled, (scale * gradient / energy[:, None])[..., None])[..., 0]
+        if np.all(np.einsum("pa,pa->p", gradient, step) < tolerance * noise_variance):
+            break
+        trial = geometry.moved(_bounded(step, lengths, LARGEST_STEP))
+        new_energy, new_gradient, new_lengths = assess(trial)
+        better = new_energy >= energy
+        geometry = Geometry(*(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in
+                              ((geometry.delay, trial.delay), (geometry.arrival, trial.arrival),
+                               (geometry.departure, trial.departure), (geometry.speed, trial.speed))))
+        energy = np.where(better, new_energy, energy)
+        gradient = np.where(better[:, None], new_gradient, gradient)
+        lengths = np.where(better[:, None, None], new_lengths, lengths)
+        damping = np.where(better, damping / 10, damping * 10)
+    return geometry, energy

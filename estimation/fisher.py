@@ -1,0 +1,61 @@
+"""Fisher information and Cramer-Rao bounds of the path parameters, complex gains as nuisance (Slepian-Bangs, white noise after whitening).
+
+``J_ab = (2 / sigma^2) Re{(d_a mu)^H (W^H W)^{-1} (d_b mu)}`` over all parameters and gains of all paths; the Schur complement
+eliminates the gains, and the (6, 6) diagonal blocks of the inverse are the paths' marginal covariances.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import EstimationError
+from .estimators.refine import Linearization, information
+from .signal.algebra import gram
+from .signal.directions import Float
+from .signal.model import SignalModel
+from .signal.paths import PathTable, tangent_jacobian
+
+
+def fisher_information(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
+    """(6P, 6P) information on delay [s], AOA and AOD tangents [rad], radial velocity [m/s] of all paths, gains eliminated."""
+    if not noise_variance > 0:
+        raise EstimationError(f"fisher_information: noise_variance must be positive, got {noise_variance}")
+    matrix = gram(model.evaluate(paths.geometry), model.columns)
+    lin = Linearization(paths.geometry, paths.gain, matrix, 0.0, np.zeros((len(paths), 6)))
+    return information(lin, model.active) * 2 / noise_variance
+
+
+def crb(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
+    """Cramer-Rao bound (P, 6, 6) per path in (delay [s], AOA az, el, AOD az, el [rad], radial velocity [m/s])."""
+    tangent = path_covariances(fisher_information(model, paths, noise_variance), model.active)
+    scale = tangent_jacobian(paths.geometry)
+    with np.errstate(invalid="ignore"):
+        return tangent * scale[:, :, None] * scale[:, None]
+
+
+def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
+    """Post-integration SNR rho (P,) of each path with all others known but their gains: ``|g|^2 / (sigma^2 [G^-1]_pp)``."""
+    matrix = gram(model.evaluate(paths.geometry), model.columns)[:, 0, :, 0]
+    return np.abs(paths.gain) ** 2 / (noise_variance * np.diag(np.linalg.inv(matrix)).real)
+
+
+def path_covariances(information: Float, active) -> Float:
+    """Diagonal blocks (P, 6, 6) of the inverse information; infinite variance for parameters that the link does not observe.
+
+    A pseudo-inverse after scaling to unit diagonal gives a singular direction (azimuth at a pole) a huge but finite variance.
+    """
+    paths = len(information) // 6
+    observed = np.tile(np.asarray(active, bool), paths)
+    reduced = information[np.ix_(observed, observed)]
+    diagonal = np.diag(reduced).copy()
+    diagonal[diagonal <= 0] = np.finfo(float).tiny ** 0.5
+    scale = 1 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(reduced * np.outer(scale, scale))
+    values = np.maximum(values, 1e-10)
+    inverse = (vectors / values) @ vectors.T * np.outer(scale, scale)
+    full = np.zeros((6 * paths, 6 * paths))
+    full[np.ix_(observed, observed)] = inverse
+    blocks = full.reshape(paths, 6, paths, 6)[np.arange(paths), :, np.arange(paths)].copy()
+    idle = np.flatnonzero(~np.asarray(active, bool))
+    blocks[:, idle, idle] = np.inf
+    return blocks

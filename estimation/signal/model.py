@@ -1,0 +1,178 @@
+"""The signal model of eq. (2) of paper A as a product of modes: one code path for every architecture.
+
+``Y[k, n, ...] = sum_i g_i W_n^H a_R(aoa_i) a_T^H(aod_i) p_n exp(-j 2 pi f_k tau_i) exp(+j 2 pi t_n d_i / lambda) + W_n^H n``
+
+Inside, the data are whitened (``W_n^H W_n = L L^H``, ``y <- L^-1 y``), so that all estimators see white noise. With ``subbands > 1``
+array and Doppler phases are scaled by ``1 + f/f_c`` per sub-band of pilots, which models beam squint and range migration; 1 is
+eq. (2) as printed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import ModelError, SignalError
+from .arrays import Complex, Manifold
+from .directions import Float
+from .modes import DelayMode, Mode, ReceiveMode, TimeMode, TransmitMode
+from .paths import Geometry
+from .schedule import Schedule
+from .waveform import Waveform
+
+
+@dataclass(frozen=True)
+class Band:
+    """A contiguous block of pilots with its own frequency scale (the only band of a narrowband model is the whole)."""
+
+    pilots: slice
+    scale: float
+    modes: tuple[Mode, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SignalModel:
+    """Waveform, schedule and arrays of one link.
+
+    Parameters
+    ----------
+    waveform, schedule : pilots over frequency and time
+    transmitter, receiver : arrays; AOD and AOA are measured in their parent frames
+    subbands : number of sub-bands with their own steering (1: eq. (2) as printed)
+    """
+
+    waveform: Waveform
+    schedule: Schedule
+    transmitter: Manifold
+    receiver: Manifold
+    subbands: int = 1
+
+    def __post_init__(self) -> None:
+        schedule = self.schedule
+        for book, array, axis, name in ((schedule.precoders, self.transmitter, 1, "precoders of the transmitter"),
+                                        (schedule.combiners, self.receiver, 1, "combiners of the receiver")):
+            if book is not None and book.shape[axis] != array.elements:
+                raise ModelError(f"SignalModel: the {name} address {book.shape[axis]} elements, the array has {array.elements}")
+        if not 1 <= self.subbands <= self.waveform.subcarriers:
+            raise ModelError(f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} subcarriers, got {self.subbands}")
+        self._whitener  # noqa: B018  a singular combiner must fail here, not in a search
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a received signal: (K, N, receive ports[, N_T with a digital transmitter])."""
+        combiners = self.schedule.combiners
+        ports = self.receiver.elements if combiners is None else combiners.shape[2]
+        transmit = (self.transmitter.elements,) if self.schedule.precoders is None else ()
+        return (self.waveform.subcarriers, self.schedule.symbols, ports, *transmit)
+
+    @cached_property
+    def active(self) -> np.typing.NDArray[np.bool_]:
+        """(6,) which parameters this link can observe at all."""
+        several = self.waveform.subcarriers > 1, bool(np.ptp(self.schedule.times) > 0)
+        return np.array([several[0], *self.receiver.observable, *self.transmitter.observable, several[1]])
+
+    @cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """The sub-bands with their modes."""
+        edges = np.linspace(0, self.waveform.subcarriers, self.subbands + 1).round().astype(int)
+        blocks = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        frequencies = self.waveform.frequencies
+        rest = self._other_modes()
+        scales = [1.0] if self.subbands == 1 else [1 + frequencies[b].mean() / self.waveform.carrier for b in blocks]
+        return tuple(Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True))
+
+    @cached_property
+    def columns(self) -> np.typing.NDArray[np.intp]:
+        """(modes, 7) derivative column of each mode for (value, six parameters); 0 where a mode does not depend on it."""
+        modes = self.bands[0].modes
+        columns = np.zeros((len(modes), 7), int)
+        for row, mode in enumerate(modes):
+            for column, parameter in enumerate(mode.parameters):
+                columns[row, 1 + parameter] = 1 + column
+        return columns
+
+    def _other_modes(self) -> tuple[Mode, ...]:
+        schedule = self.schedule
+        swept = {} if schedule.precoders is None else {
+            "transmitter": self.transmitter, "precoders": schedule.precoders, "precoder_index": schedule.precoder_index}
+        combined = {} if schedule.combiners is None else {
+            "receiver": self.receiver, "combiners": self._whitener @ schedule.combiners.conj().swapaxes(1, 2),
+            "combiner_index": schedule.combiner_index}
+        time = TimeMode(schedule.times, self.waveform.wavelength, **swept, **combined)
+        receive = () if combined else (ReceiveMode(self.receiver),)
+        transmit = () if swept else (TransmitMode(self.transmitter),)
+        return (time, *receive, *transmit)
+
+    @cached_property
+    def _whitener(self) -> Complex | None:
+        """(S, M, M) inverse Cholesky factors of W^H W, or None without combiners."""
+        combiners = self.schedule.combiners
+        if combiners is None:
+            return None
+        gram = combiners.conj().swapaxes(1, 2) @ combiners
+        if np.any(np.linalg.cond(gram) > 1e10):
+            raise ModelError("SignalModel: a combining matrix W_n has linearly dependent columns; its noise cannot be whitened")
+        return np.linalg.inv(np.linalg.cholesky(gram))
+
+    @cached_property
+    def white(self) -> bool:
+        """Whether the received noise is white as it is."""
+        return self._whitener is None or np.allclose(self._whitener, np.eye(self.shape[2]))
+
+    def whiten(self, signal: Complex) -> Complex:
+        """The signal with white noise (a copy only where needed)."""
+        if self.white:
+            return signal
+        per_symbol = self._whitener.astype(signal.dtype)[self.schedule.combiner_index]
+        return np.einsum("nij,knj...->kni...", per_symbol, signal)
+
+    def color(self, noise: Complex) -> Complex:
+        """White noise of the model's shape given the covariance ``W_n^H W_n``; a whitened signal likewise returns to its ports."""
+        if self.white:
+            return noise
+        per_symbol = np.linalg.inv(self._whitener).astype(noise.dtype)[self.schedule.combiner_index]
+        return np.einsum("nij,knj...->kni...", per_symbol, noise)
+
+    def checked(self, signal) -> np.typing.NDArray[np.complex64]:
+        """The signal as a contiguous complex64 array.
+
+        Raises
+        ------
+        SignalError
+            if its shape is not ``shape``, it is not numeric, or it holds NaN or infinity.
+        """
+        try:
+            signal = np.ascontiguousarray(signal, dtype=np.complex64)
+        except (TypeError, ValueError) as error:
+            raise SignalError(f"signal: not convertible to complex numbers ({error})") from None
+        if signal.shape != self.shape:
+            raise SignalError(f"signal: shape {signal.shape} does not match the model's {self.shape} "
+                              "(subcarriers, symbols, receive ports[, transmit elements])")
+        energy = np.vdot(signal, signal).real
+        if not np.isfinite(energy):
+            raise SignalError("signal: it contains NaN or infinite samples, or overflows single precision; clean or rescale it")
+        return signal
+
+    def evaluate(self, geometry: Geometry) -> list[list[Complex]]:
+        """Mode blocks per band: a list of bands, each a list over modes of (P, 1 + c, n)."""
+        common: dict[float, list[Complex]] = {}
+        blocks = []
+        for band in self.bands:
+            if band.scale not in common:
+                common[band.scale] = [mode.evaluate(geometry, band.scale) for mode in band.modes[1:]]
+            blocks.append([band.modes[0].evaluate(geometry), *common[band.scale]])
+        return blocks
+
+    def steps(self) -> Float:
+        """(6,) natural scales of the parameters: the reciprocal bandwidth [s], 1 rad over the apertures, wavelength over duration [m/s]."""
+        duration = np.ptp(self.schedule.times) or 1.0
+        angle = [1.0 / max(2 * np.ptp(getattr(a, "positions", np.zeros((1, 3))), axis=0).max(), 1.0) for a in (self.receiver, self.transmitter)]
+        delay = 1.0 / (self.waveform.bandwidth or 1.0)
+        return np.array([delay, angle[0], angle[0], angle[1], angle[1], self.waveform.wavelength / duration])
+
+
+def flat(signal: Complex, band: Band) -> Complex:
+    """A band's part of a (whitened) signal with one axis per mode."""
+    return signal[band.pilots].reshape([mode.size for mode in band.modes])

@@ -1,0 +1,131 @@
+"""Pilot schedule: what is sent and received at which time.
+
+Symbol ``n`` is at ``times[n]`` (relative to the burst center), is precoded with the pilot vector ``p_n`` and combined with the
+matrix ``W_n`` of eq. (2). Both are codebooks with an index per symbol; either may be absent, and that end is then fully digital.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ModelError
+from .directions import Float
+
+Complex = np.typing.NDArray[np.complex128]
+Index = np.typing.NDArray[np.intp]
+ORDERS = ("linear", "permuted", "same_permutation", "dwell")
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Times, pilot vectors and combiners of the N symbols of one burst.
+
+    Parameters
+    ----------
+    times : (N,) symbol times [s], centered by the constructor (the middle of first and last is 0)
+    precoders : (Q, N_T) pilot vectors, or None for a transmitter whose elements are observed separately
+    precoder_index : (N,) row of ``precoders`` used by each symbol
+    combiners : (S, N_R, M) combining matrices, or None for a digital receiver
+    combiner_index : (N,) which combiner each symbol uses
+    """
+
+    times: Float
+    precoders: Complex | None = None
+    precoder_index: Index | None = None
+    combiners: Complex | None = None
+    combiner_index: Index | None = None
+
+    def __post_init__(self) -> None:
+        times = np.asarray(self.times, float)
+        if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+            raise ModelError("Schedule: times must be a finite vector (N,) in seconds")
+        object.__setattr__(self, "times", times - 0.5 * (times.min() + times.max()))
+        for name, dimensions in (("precoder", 2), ("combiner", 3)):
+            book, index = getattr(self, name + "s"), getattr(self, name + "_index")
+            if book is None:
+                continue
+            book = np.asarray(book, complex)
+            if book.ndim != dimensions or not np.isfinite(book).all():
+                raise ModelError(f"Schedule: {name}s must be a finite array of {dimensions} dimensions, got shape {book.shape}")
+            index = np.zeros(len(times), int) if index is None and len(book) == 1 else np.asarray(index)
+            if index.shape != times.shape or index.min() < 0 or index.max() >= len(book):
+                raise ModelError(f"Schedule: {name}_index must hold one row number below {len(book)} for each of {len(times)} symbols")
+            object.__setattr__(self, name + "s", book)
+            object.__setattr__(self, name + "_index", index)
+
+    @property
+    def symbols(self) -> int:
+        """Number of symbols N."""
+        return len(self.times)
+
+    def slots(self) -> Index:
+        """Symbol numbers (B, Q, S) by sweep, precoder and combiner.
+
+        Raises
+        ------
+        ModelError
+            if not every pair of precoder and combiner in use occurs equally often.
+        """
+        q = np.zeros(self.symbols, int) if self.precoder_index is None else self.precoder_index
+        s = np.zeros(self.symbols, int) if self.combiner_index is None else self.combiner_index
+        beams, q = np.unique(q, return_inverse=True)
+        settings, s = np.unique(s, return_inverse=True)
+        pair = q * len(settings) + s
+        uses = np.bincount(pair, minlength=len(beams) * len(settings))
+        if np.ptp(uses):
+            raise ModelError("Schedule: a staged search needs every pair of beam and combiner equally often; "
+                             f"here between {uses.min()} and {uses.max()} times")
+        order = np.lexsort((self.times, pair)).reshape(len(beams), len(settings), uses[0])
+        return np.moveaxis(order, 2, 0)
+
+
+def digital(symbols: int, period: float) -> Schedule:
+    """``symbols`` symbols ``period`` [s] apart, both ends fully digital."""
+    return Schedule(period * np.arange(symbols))
+
+
+def sweep(beams: Complex, sweeps: int, period: float, order: str = "permuted", combiners: Complex | None = None,
+          rng: np.random.Generator | None = None) -> Schedule:
+    """All ``beams`` (Q, N_T), ``sweeps`` times, one symbol each ``period`` [s].
+
+    ``order``: ``linear``; ``permuted`` (a fresh random permutation in every sweep, the one without Doppler ambiguity);
+    ``same_permutation``; ``dwell`` (all repetitions of a beam in a row). With ``combiners`` (S, N_R, M) each beam is held for the S
+    combiners in turn, which keeps the combiners of one beam close in time.
+    """
+    beams = np.asarray(beams, complex)
+    if order not in ORDERS:
+        raise ModelError(f"sweep: order must be one of {', '.join(ORDERS)}; got {order!r}")
+    if order in ("permuted", "same_permutation") and rng is None:
+        raise ModelError(f"sweep: order {order!r} needs rng=np.random.default_rng(seed)")
+    count, settings = len(beams), 1 if combiners is None else len(combiners)
+    if order == "dwell":
+        index = np.repeat(np.arange(count), sweeps)
+    elif order == "permuted":
+        index = np.concatenate([rng.permutation(count) for _ in range(sweeps)])
+    elif order == "same_permutation":
+        index = np.tile(rng.permutation(count), sweeps)
+    else:
+        index = np.tile(np.arange(count), sweeps)
+    times = period * np.arange(count * sweeps * settings)
+    return Schedule(times, beams, np.repeat(index, settings), combiners,
+                    None if combiners is None else np.tile(np.arange(settings), count * sweeps))
+
+
+def random_phase_beams(count: int, elements: int, rng: np.random.Generator) -> Complex:
+    """Unit-norm beams (count, elements) with independent uniform phases."""
+    return np.exp(2j * np.pi * rng.random((count, elements))) / np.sqrt(elements)
+
+
+def dft_beams(rows: int, columns: int) -> Complex:
+    """Orthonormal two-dimensional DFT beams (rows * columns, rows * columns) of a :func:`~estimation.ura`."""
+    def dft(n: int) -> Complex:
+        index = np.arange(n) - (n - 1) / 2
+        return np.exp(2j * np.pi * np.outer(index, index) / n) / np.sqrt(n)
+    return np.kron(dft(rows), dft(columns))
+
+
+def antenna_switching(elements: int) -> Complex:
+    """One element after the other: the identity codebook (elements, elements)."""
+    return np.eye(elements, dtype=complex)

@@ -1,0 +1,44 @@
+"""Synthesis of received signals from path tables, eq. (2) of paper A."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import ModelError
+from .algebra import signal_of
+from .model import SignalModel
+from .paths import PathTable
+
+
+def synthesize(model: SignalModel, paths: PathTable, noise_variance: float = 0.0,
+               rng: np.random.Generator | None = None) -> np.typing.NDArray[np.complex64]:
+    """One received burst ``Y`` (``model.shape``), complex64.
+
+    Parameters
+    ----------
+    model : the link; its ``subbands`` decide about beam squint and range migration
+    paths : propagation paths (possibly none)
+    noise_variance : variance of each entry of the white noise vector ``n`` before combining; behind combiners the noise has the
+        covariance ``noise_variance * W_n^H W_n``
+    rng : generator of the noise; needed if there is any
+
+    Raises
+    ------
+    ModelError
+        for a negative or non-finite variance, or noise without a generator.
+    """
+    if not np.isfinite(noise_variance) or noise_variance < 0:
+        raise ModelError(f"synthesize: noise_variance must be finite and not negative, got {noise_variance}")
+    if noise_variance > 0 and rng is None:
+        raise ModelError("synthesize: noise needs rng=np.random.default_rng(seed)")
+    signal = white_noise(model.shape, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
+    if len(paths):
+        signal += signal_of(model, model.evaluate(paths.geometry), paths.gain)
+    return model.color(signal)
+
+
+def white_noise(shape: tuple[int, ...], variance: float, rng: np.random.Generator) -> np.typing.NDArray[np.complex64]:
+    """Circular complex Gaussian noise of the given variance per sample, complex64."""
+    parts = rng.standard_normal((*shape[:-1], 2 * shape[-1]), dtype=np.float32)
+    parts *= np.float32(np.sqrt(variance / 2))
+    return parts.view(np.complex64)
