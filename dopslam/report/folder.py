@@ -1,0 +1,74 @@
+"""The results folder of a run: made under a hidden name, moved into place when complete, with a ``latest`` link."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+from dopslam.errors import DatasetError
+
+PACKAGES = ("dopslam", "sionna-rt", "mitsuba", "drjit", "numpy", "scipy", "numba", "h5py", "pydantic", "matplotlib")
+
+
+def versions() -> dict[str, str]:
+    """Versions of the interpreter and of the packages that decide results."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+@contextlib.contextmanager
+def results_folder(root: str | Path, name: str) -> Iterator[tuple[Path, Path]]:
+    """Yield (working folder, final folder) for ``<root>/<name>-<time>``; nothing is left behind if the run fails.
+
+    Raises
+    ------
+    DatasetError
+        If the folder cannot be made.
+    """
+    root = Path(root)
+    final = root / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    suffix = 0
+    while final.exists():
+        suffix += 1
+        final = final.with_name(f"{final.name.split('+')[0]}+{suffix}")
+    working = root / f".{final.name}.part"
+    try:
+        working.mkdir(parents=True)
+    except OSError as error:
+        raise DatasetError(f"{root}: cannot make a results folder ({error.strerror}); name another with --runs") from error
+    try:
+        yield working, final
+        os.replace(working, final)
+    finally:
+        shutil.rmtree(working, ignore_errors=True)
+    _link_latest(root, final)
+
+
+def _link_latest(root: Path, final: Path) -> None:
+    link = root / f".latest-{os.getpid()}"
+    # A file system without links, or a folder called "latest", is no reason to fail after all the work.
+    with contextlib.suppress(OSError):
+        link.symlink_to(final.name)
+        os.replace(link, root / "latest")
+    link.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Write JSON that any reader accepts (no NaN), synced before it takes its name."""
+    part = path.with_name(f".{path.name}.part")
+    with open(part, "w", encoding="utf-8") as file:
+        json.dump(content, file, indent=2, allow_nan=False)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)

@@ -1,0 +1,72 @@
+"""The stages over one dataset file: each reads the records it needs, adds its own, and can start from anybody's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dopslam import dataset, pipeline
+from dopslam.config import Scenario, override, parse
+from dopslam.errors import DatasetError
+from dopslam.pipeline import Progress, StoredSignal, SyntheticSignal, quiet
+from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
+
+
+def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
+    """The scenario and seed a dataset was made with, with later ``--set`` applied."""
+    text, seed = dataset.read_root(path)
+    return override(parse(text, source=str(path)), settings), seed
+
+
+def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet) -> None:
+    """Start a dataset: track, landmarks, paths and floor plan of a traced scenario."""
+    traced = pipeline.trace(scenario, seed, progress)
+    records = {"track": traced.track, "landmarks": traced.landmarks, "paths": traced.paths, "plan": traced.plan}
+    _start(path, records, scenario, seed)
+
+
+def simulate(path: Path, scenario: Scenario, seed: int) -> None:
+    """Start a dataset without a tracer: track, landmarks and detections drawn from the measurement model."""
+    track, landmarks, detections = pipeline.simulate(scenario, seed)
+    _start(path, {"track": track, "landmarks": landmarks, "detections": detections}, scenario, seed)
+
+
+def _start(path: Path, records: dict, scenario: Scenario, seed: int) -> None:
+    if Path(path).exists():
+        raise DatasetError(f"{path}: exists already; remove it or name another file with --out")
+    dataset.write_records(path, records, scenario.to_toml(), seed)
+
+
+def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
+    """Add the received signal of every step."""
+    scenario, seed = scenario_of(path, settings)
+    track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+    dataset.write_signal(path, pipeline.synthesize(scenario, track, paths, seed, progress), paths.steps)
+
+
+def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet) -> None:
+    """Add the detections of every snapshot, from the stored signal or, without one, from the signal of the paths."""
+    scenario, seed = scenario_of(path, settings)
+    stored = dataset.signal_steps(path)
+    if stored:
+        signal = StoredSignal(Path(path), stored)
+    else:
+        track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+        signal = SyntheticSignal(scenario.to_toml(), track, paths, seed)
+    detections = pipeline.estimate(scenario, signal, jobs, progress)
+    dataset.write_record(path, "detections", detections, scenario.to_toml())
+
+
+def read_truth(path: Path) -> tuple[Track, Landmarks, Paths | None, FloorPlan | None]:
+    """The truth in a dataset; paths and plan are None where detections were drawn from the model."""
+    have = dataset.groups(path)
+    return (
+        dataset.read_record(path, "track", Track),
+        dataset.read_record(path, "landmarks", Landmarks),
+        dataset.read_record(path, "paths", Paths) if "paths" in have else None,
+        dataset.read_record(path, "plan", FloorPlan) if "plan" in have else None,
+    )
+
+
+def read_detections(path: Path) -> DetectionSeries:
+    """The detections in a dataset."""
+    return dataset.read_record(path, "detections", DetectionSeries)

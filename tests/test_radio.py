@@ -1,0 +1,85 @@
+"""Traced paths as signal parameters: frames, clock bias and link budget against independent formulas."""
+
+import numpy as np
+import pytest
+
+from dopslam import radio
+from dopslam.config import load
+from dopslam.errors import ConfigError
+from dopslam.geometry import reflected_paths, scattered_paths, zenith_azimuth
+from dopslam.models.measurement import SP, VA, measure
+from dopslam.records import SPEED_OF_LIGHT, Paths, Track
+from estimation import PathTable, snr
+
+
+def one_step(geometry, velocity, carrier):
+    theta_t, phi_t = zenith_azimuth(geometry.departure)
+    theta_r, phi_r = zenith_azimuth(geometry.arrival)
+    count = len(geometry.length)
+    return Paths(
+        offsets=np.array([0, count]), landmark=np.zeros(count, int), a=np.full(count, 1e-6 + 0j),
+        tau=geometry.length / SPEED_OF_LIGHT, theta_t=theta_t, phi_t=phi_t, theta_r=theta_r, phi_r=phi_r,
+        doppler=geometry.radial_velocity(velocity) * carrier / SPEED_OF_LIGHT,
+        vertex_offsets=np.arange(count + 1), vertices=geometry.vertices[:, 0],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [VA, SP])
+def test_path_parameters_are_the_measurement_model(kind):
+    """Image method → frames → estimator's parameters must equal h(x, s) of eqs. (3)–(12)."""
+    scenario = load("ring_road")
+    bs = np.array(scenario.base_station.position)
+    state = np.array([31.0, -52.0, 2.3, 300.0])
+    position = np.array([[31.0, -52.0, 0.0]])
+    velocity = 22.22 * np.array([[np.cos(2.3), np.sin(2.3), 0.0]])
+    if kind == VA:
+        landmark = np.array([200.0, 0.0, 40.0])
+        geometry = reflected_paths(bs, position, np.array([[[1.0, 0.0, 0.0]]]), np.array([[100.0]]))
+    else:
+        landmark = np.array([99.0, 0.0, 10.0])
+        geometry = scattered_paths(bs, position, landmark[None])
+    track = Track(np.zeros(1), position, state[2:3], velocity, state[3:4], state)
+    paths = one_step(geometry, velocity, scenario.radio.carrier_frequency)
+    table = radio.path_table(scenario, track, paths, 0)
+    found = table.vector[0] * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1]
+    assert found == pytest.approx(measure(state, landmark, kind, bs, speed=22.22), rel=1e-9, abs=1e-9)
+
+
+def test_the_base_stations_yaw_turns_departures_only():
+    scenario = load("ring_road", ["base_station.yaw_deg=30"])
+    plain = load("ring_road")
+    position = np.array([[31.0, -52.0, 0.0]])
+    geometry = scattered_paths(np.array([0, 0, 40.0]), position, np.array([[99.0, 0.0, 10.0]]))
+    track = Track(np.zeros(1), position, np.zeros(1), np.zeros((1, 3)), np.zeros(1), np.zeros(4))
+    paths = one_step(geometry, np.zeros((1, 3)), 28e9)
+    turned, straight = (radio.path_table(s, track, paths, 0).vector[0] for s in (scenario, plain))
+    assert (straight - turned)[3] == pytest.approx(np.pi / 6)
+    assert np.delete(straight - turned, 3) == pytest.approx(0)
+
+
+def test_the_link_budget_is_the_one_stated_in_the_scenario():
+    """ρ = P + 20 log₁₀|a| + 149.3 dB on average over directions (random beams, isotropic elements)."""
+    scenario = load("ring_road")
+    rng = np.random.default_rng(5)
+    direction = rng.normal(size=(300, 3))
+    theta, phi = zenith_azimuth(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+    model, amplitude = radio.signal_model(scenario), 1e-6 * radio.pilot_amplitude(scenario)
+    rho = [
+        snr(model, PathTable([1e-6], [[0.1, 0.2]], [[az, np.pi / 2 - el]], [3.0], [amplitude]), radio.noise_variance(scenario))
+        for el, az in zip(theta, phi, strict=True)
+    ]
+    assert 10 * np.log10(np.mean(rho)) == pytest.approx(-2 - 120 + 149.3, abs=0.3)
+
+
+def test_delay_and_doppler_are_unambiguous_where_the_scene_needs_them():
+    model = radio.signal_model(load("ring_road"))
+    assert model.waveform.max_delay * SPEED_OF_LIGHT > 600
+    assert np.prod(model.shape) <= 2_000_000
+
+
+def test_beams_that_the_array_cannot_form_are_refused():
+    with pytest.raises(ConfigError, match="planar"):
+        radio.signal_model(load("ring_road", ["radio.beams.kind=dft", "radio.beams.beams=32"]))
+    with pytest.raises(ConfigError, match="32"):
+        radio.signal_model(load("ring_road", ["radio.beams.kind=antenna"]))
+    assert radio.signal_model(load("ring_road", ["radio.beams.kind=antenna", "radio.beams.beams=32"])).shape[1] == 256
