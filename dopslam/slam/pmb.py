@@ -1,0 +1,282 @@
+"""The Poisson multi-Bernoulli density of UE and map, and the parameters the recursion needs.
+
+Records that cross into compiled code are named tuples. One Gaussian over `[s; x_1; …; x_H]` holds the UE and every
+landmark hypothesis; cross-covariances are kept (`joint`) or dropped after each step (`marginal`, the paper's
+(31)-(32)). A *block* is one type hypothesis (VA or SP) of a *track* (a Bernoulli component): siblings share a track
+number and lie side by side. Block 0 is the base station: known, always existing, without state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.compiled import compiled
+from dopslam.errors import FilterError
+from dopslam.models.detection import (
+    TABLE_START_DB,
+    TABLE_STEP_DB,
+    ConstantDetection,
+    DetectionModel,
+    SnrDetection,
+    detection_table,
+)
+from dopslam.models.motion import CoordinatedTurn
+
+Array = NDArray[np.float64]
+
+BS_TRACK = -1  # track number of the base station
+NO_TRACK = -2  # a measurement taken as new or clutter
+
+
+class PMB(NamedTuple):
+    """Posterior or prior density.
+
+    Attributes
+    ----------
+    mean : (n + 3H,) array; UE first, then the landmark blocks
+    covariance : (n + 3H, n + 3H) array
+    kind : (H + 1,) int array; entry 0 is the BS
+    weight : (H + 1,) array; existence times type probability of each block
+    track : (H + 1,) int array; track number, siblings share it
+    reference : (H + 1,) array; log of ρ times spreading loss, learnt from detections
+    detections : (H + 1,) array; number of detections that `reference` rests on
+    trail : (k, 2) array; past UE positions, for the thinning of the undetected intensity
+    """
+
+    mean: Array
+    covariance: Array
+    kind: NDArray[np.int64]
+    weight: Array
+    track: NDArray[np.int64]
+    reference: Array
+    detections: Array
+    trail: Array
+
+
+class Scan(NamedTuple):
+    """Measurements of one step as the recursion reads them: m = 6 rows, or 5 without Doppler.
+
+    Attributes
+    ----------
+    z : (M, m) array
+    covariance : (M, m, m) array
+    log_snr : (M,) array; natural log of ρ, zeros where unknown
+    first : int; number of the first measurement in the whole run; a track is named by the measurement that bore it
+    clutter : float; clutter intensity c(z)
+    """
+
+    z: Array
+    covariance: Array
+    log_snr: Array
+    first: int
+    clutter: float
+
+
+class Model(NamedTuple):
+    """`FilterParameters` and motion in the form compiled code reads; made by `compile_model`."""
+
+    site: tuple[float, float, float, float, float]
+    interval: float
+    turn_rate: float
+    process_noise: Array
+    joint: bool
+    iterations: int
+    cubature: bool
+    reweight: bool
+    gamma: int
+    gate: float
+    survival: float
+    intensity: Array
+    birth_intensity: Array
+    thinning: bool
+    prune: float
+    existence_limit: float
+    negligible: float
+    sp_range: float
+    use_snr: bool
+    table: Array
+    memory: float
+
+
+@dataclass(frozen=True, slots=True)
+class FilterParameters:
+    """Choices of the EK-PMB recursion; defaults follow the reference figures of paper A's scenario.
+
+    Attributes
+    ----------
+    joint : bool
+        Keep UE-landmark cross-covariances through time (default); False is the paper's filter, (31)-(32).
+    doppler : bool
+        Use the Doppler row.
+    iterations : int
+        Linearizations per update; 1 is the plain EKF.
+    cubature : bool
+        Statistical linearization with cubature points instead of Jacobians in the update.
+    reweight : bool
+        Weight the γ associations by the evidence of the joint update instead of products of single likelihoods.
+    associations : int
+        γ, the data associations kept per step (and per prior hypothesis).
+    gate : float
+        Squared Mahalanobis distance beyond which a measurement cannot belong to a track.
+    survival : float
+        p_S per step.
+    intensity : (VA, SP)
+        Initial intensity of undetected landmarks [m⁻³].
+    birth_intensity : (VA, SP)
+        λ_B added every step [m⁻³].
+    thinning : bool
+        λ ← (1 - p_D) λ inside the field of view after each scan; False keeps it constant, the convention of the
+        reference figures.
+    prune : float
+        Blocks below this weight are dropped.
+    existence_limit : float
+        Ceiling of a track's existence, so that misses can still end it.
+    negligible : float
+        Associations below this weight relative to the best are not updated.
+    detection : ConstantDetection or SnrDetection
+    memory : float
+        Detections over which a track's SNR reference is averaged.
+    """
+
+    joint: bool = True
+    doppler: bool = True
+    iterations: int = 2
+    cubature: bool = False
+    reweight: bool = False
+    associations: int = 10
+    gate: float = 40.0
+    survival: float = 1.0
+    intensity: tuple[float, float] = (1e-7, 4e-6)
+    birth_intensity: tuple[float, float] = (0.0, 0.0)
+    thinning: bool = False
+    prune: float = 1e-3
+    existence_limit: float = 1.0 - 1e-6
+    negligible: float = 1e-4
+    detection: DetectionModel = field(default_factory=ConstantDetection)
+    memory: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.associations < 1 or self.iterations < 1:
+            raise FilterError(
+                f"FilterParameters: associations ({self.associations}) and iterations ({self.iterations}) must be ≥ 1"
+            )
+        if not 0 < self.survival <= 1:
+            raise FilterError(f"FilterParameters.survival is {self.survival}; it must lie in (0, 1]")
+        if not (self.gate > 0 and min(self.intensity) > 0 and min(self.birth_intensity) >= 0):
+            raise FilterError("FilterParameters: gate and intensity must be positive, birth_intensity not negative")
+
+
+def compile_model(
+    parameters: FilterParameters, motion: CoordinatedTurn, bs: Array, height: float = 0.0
+) -> Model:
+    """The parameters as compiled code reads them.
+
+    Parameters
+    ----------
+    parameters : FilterParameters
+    motion : CoordinatedTurn
+    bs : (3,) array, position of the base station [m]
+    height : float, height of the UE's plane [m]
+    """
+    bs = np.asarray(bs, dtype=float)
+    detection = parameters.detection
+    limited = isinstance(detection, ConstantDetection) and detection.sp_range is not None
+    return Model(
+        site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(motion.speed)),
+        interval=float(motion.interval),
+        turn_rate=float(motion.turn_rate),
+        process_noise=np.ascontiguousarray(motion.process_noise, dtype=float),
+        joint=bool(parameters.joint),
+        iterations=int(parameters.iterations),
+        cubature=bool(parameters.cubature),
+        reweight=bool(parameters.reweight),
+        gamma=int(parameters.associations),
+        gate=float(parameters.gate),
+        survival=float(parameters.survival),
+        intensity=np.array(parameters.intensity, dtype=float),
+        birth_intensity=np.array(parameters.birth_intensity, dtype=float),
+        thinning=bool(parameters.thinning),
+        prune=float(parameters.prune),
+        existence_limit=float(parameters.existence_limit),
+        negligible=float(parameters.negligible),
+        sp_range=float(detection.sp_range) if limited else np.inf,
+        use_snr=isinstance(detection, SnrDetection),
+        table=detection_table(detection),
+        memory=float(parameters.memory),
+    )
+
+
+def initial_density(mean: Array, covariance: Array) -> PMB:
+    """The density before the first step: UE prior N(mean, covariance), the BS, no landmark."""
+    mean = np.ascontiguousarray(mean, dtype=float)
+    covariance = np.ascontiguousarray(covariance, dtype=float)
+    if covariance.shape != (mean.size, mean.size) or mean.size not in (4, 6):
+        raise FilterError(f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n = 4 or 6")
+    return PMB(
+        mean=mean,
+        covariance=covariance,
+        kind=np.zeros(1, dtype=np.int64),
+        weight=np.ones(1),
+        track=np.full(1, BS_TRACK, dtype=np.int64),
+        reference=np.zeros(1),
+        detections=np.zeros(1),
+        trail=np.zeros((0, 2)),
+    )
+
+
+@compiled
+def start_of(n, block):
+    """First row of a landmark block in the state of a UE with n entries (the BS has none)."""
+    return n + 3 * (block - 1)
+
+
+_START_DB = TABLE_START_DB
+_STEP_DB = TABLE_STEP_DB
+_LOG_TO_DB = 10.0 / np.log(10.0)
+
+
+@compiled
+def look_up(table, log_snr):
+    """p_D for the natural log of ρ, linear between the table's entries."""
+    place = (_LOG_TO_DB * log_snr - _START_DB) / _STEP_DB
+    last = table.shape[0] - 1
+    if place <= 0.0:
+        return table[0]
+    if place >= last:
+        return table[last]
+    low = int(place)
+    share = place - low
+    return (1.0 - share) * table[low] + share * table[low + 1]
+
+
+@compiled
+def select(density, keep):
+    """The density with only the blocks numbered in `keep` (ascending, 0 first)."""
+    n = density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)
+    size = n + 3 * (keep.shape[0] - 1)
+    rows = np.empty(size, dtype=np.int64)
+    for i in range(n):
+        rows[i] = i
+    for j in range(1, keep.shape[0]):
+        for i in range(3):
+            rows[start_of(n, j) + i] = start_of(n, keep[j]) + i
+    mean = np.empty(size)
+    covariance = np.empty((size, size))
+    for i in range(size):
+        mean[i] = density.mean[rows[i]]
+        for j in range(size):
+            covariance[i, j] = density.covariance[rows[i], rows[j]]
+    return PMB(
+        mean,
+        covariance,
+        density.kind[keep],
+        density.weight[keep],
+        density.track[keep],
+        density.reference[keep],
+        density.detections[keep],
+        density.trail,
+    )

@@ -1,0 +1,436 @@
+"""The joint update of one data association, and the projection of all of them onto one Gaussian (PMBM to PMB)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.compiled import compiled
+from dopslam.models.kernels import VA, cholesky, linearize, solve_lower, subtract
+from dopslam.slam.birth import fit_landmark, log_spreading, starting_point
+from dopslam.slam.linear import innovation_covariance, linearize_block, project_rows
+from dopslam.slam.pmb import PMB, start_of
+
+Array = NDArray[np.float64]
+
+
+class Workspace(NamedTuple):
+    """Arrays of one measurement's linear update, sized once per step."""
+
+    predicted: Array
+    nu: Array
+    by_state: Array
+    by_landmark: Array
+    extra: Array
+    factor: Array
+    projected: Array
+
+
+@compiled
+def workspace(m, n, size):
+    """Buffers for measurements of m rows, a UE of n entries and a state of `size`."""
+    return Workspace(
+        np.empty(m),
+        np.empty(m),
+        np.empty((m, n)),
+        np.empty((m, 3)),
+        np.empty((m, m)),
+        np.empty((m, m)),
+        np.empty((m, size)),
+    )
+
+
+@compiled
+def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, work):
+    """Whiten one innovation linearized at `point` (its Gaussian `around`, for cubature); ln N(ν; 0, S) and νᵀS⁻¹ν.
+
+    Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
+    """
+    m = z.shape[0]
+    size = mean.shape[0]
+    linearize_block(
+        point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra
+    )
+    subtract(z, work.predicted, work.by_landmark, work.by_state, work.nu)
+    start = start_of(n, block)
+    for i in range(m):
+        for k in range(n):
+            work.nu[i] -= work.by_state[i, k] * (mean[k] - point[k])
+        if block > 0:
+            for k in range(3):
+                work.nu[i] -= work.by_landmark[i, k] * (mean[start + k] - point[start + k])
+        for j in range(m):
+            work.extra[i, j] += noise[i, j]
+    projected = work.projected[:, :size]
+    project_rows(covariance, n, block, work.by_state, work.by_landmark, projected)
+    innovation_covariance(projected, n, block, work.by_state, work.by_landmark, work.extra, work.factor)
+    if not cholesky(work.factor, m):
+        raise ValueError("innovation covariance of an update is not positive definite")
+    solve_lower(work.factor, m, projected)
+    distance, log_density = 0.0, -0.5 * m * math.log(2.0 * math.pi)
+    for i in range(m):
+        value = work.nu[i]
+        for k in range(i):
+            value -= work.factor[i, k] * work.nu[k]
+        work.nu[i] = value / work.factor[i, i]
+        distance += work.nu[i] * work.nu[i]
+        log_density -= math.log(work.factor[i, i])
+    return distance, log_density - 0.5 * distance
+
+
+@compiled
+def _absorb(mean, covariance, work):
+    """Kalman update from the whitened innovation: m += Wᵀu, P -= WᵀW with W = L⁻¹HP."""
+    m = work.nu.shape[0]
+    size = mean.shape[0]
+    for k in range(m):
+        u = work.nu[k]
+        for j in range(size):
+            mean[j] += work.projected[k, j] * u
+    for i in range(size):
+        row = covariance[i]
+        for k in range(m):
+            w = work.projected[k, i]
+            if w != 0.0:
+                for j in range(size):
+                    row[j] -= w * work.projected[k, j]
+
+
+@compiled
+def _absorb_block(mean, covariance, n, block, work):
+    """The same for one landmark block alone; the UE and all others stay, their cross-covariances with it follow."""
+    m = work.nu.shape[0]
+    size = mean.shape[0]
+    start = start_of(n, block)
+    for k in range(m):
+        for i in range(3):
+            mean[start + i] += work.projected[k, start + i] * work.nu[k]
+    for i in range(start, start + 3):
+        for k in range(m):
+            w = work.projected[k, i]
+            for j in range(size):
+                covariance[i, j] -= w * work.projected[k, j]
+    for i in range(start, start + 3):
+        for j in range(size):
+            covariance[j, i] = covariance[i, j]
+
+
+@compiled
+def likeliest_block(local, p, t):
+    """The block of track t that explains measurement p best: the type that enters the joint update."""
+    best = local.first[t]
+    for b in range(local.first[t], local.first[t + 1]):
+        if local.log_detected[p, b] > local.log_detected[p, best]:
+            best = b
+    return best
+
+
+@compiled
+def joint_update(density, n, local, scan, association, model, work):
+    """One EKF update of `[s; x_1; …]` with all measurements a data association gives to tracks.
+
+    The stacked update is done measurement by measurement at one common linearization point, which is the same thing
+    since R is block diagonal; iterating moves that point to the updated mean.
+
+    Returns
+    -------
+    mean, covariance : updated Gaussian
+    distance : float, Σ νᵀS⁻¹ν around the prediction (NIS)
+    evidence : float, ln N(z_stack; h_stack, H P Hᵀ + R)
+    """
+    count = scan.z.shape[0]
+    point, around = density.mean, density.covariance
+    distance = evidence = 0.0
+    mean, covariance = density.mean.copy(), density.covariance.copy()
+    for iteration in range(model.iterations):
+        if iteration > 0:
+            point, around = mean, covariance
+            mean, covariance = density.mean.copy(), density.covariance.copy()
+        for p in range(count):
+            t = association[p]
+            if t < 0:
+                continue
+            b = likeliest_block(local, p, t)
+            d, e = _innovate(
+                scan.z[p], scan.covariance[p], mean, covariance, n, b, density.kind[b], point, around, model, work
+            )
+            if iteration == 0:
+                distance += d
+                evidence += e
+            _absorb(mean, covariance, work)
+    for p in range(count):  # siblings of the other type: an update of their own, the UE has used the measurement
+        t = association[p]
+        if t < 1:
+            continue
+        used = likeliest_block(local, p, t)
+        for b in range(local.first[t], local.first[t + 1]):
+            if b != used and local.log_detected[p, b] > -np.inf:
+                _innovate(
+                    scan.z[p], scan.covariance[p], mean, covariance, n, b, density.kind[b], mean, covariance, model, work
+                )
+                _absorb_block(mean, covariance, n, b, work)
+    return mean, covariance, distance, evidence
+
+
+@compiled
+def weights_after(density, local, scan, association, model, weight, reference, detections):
+    """Block weights r'μ', SNR references and detection counts of the existing tracks after one association."""
+    tracks = local.first.shape[0] - 1
+    for b in range(density.kind.shape[0]):
+        weight[b] = density.weight[b]
+        reference[b] = density.reference[b]
+        detections[b] = density.detections[b]
+    for t in range(1, tracks):
+        for b in range(local.first[t], local.first[t + 1]):
+            weight[b] *= (1.0 - local.detection[b]) / math.exp(local.log_missed[t])
+    for p in range(scan.z.shape[0]):
+        t = association[p]
+        if t < 0:
+            continue
+        total = local.log_ratio[p, t] + local.log_missed[t]
+        for b in range(local.first[t], local.first[t + 1]):
+            weight[b] = math.exp(local.log_detected[p, b] - total) if t > 0 else 1.0
+            n = density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)
+            start = start_of(n, b) if b > 0 else 0
+            seen = scan.log_snr[p] + log_spreading(
+                density.kind[b], density.mean[start : start + 3], density.mean, model.site
+            )
+            detections[b] = min(detections[b] + 1.0, model.memory)
+            reference[b] += (seen - reference[b]) / detections[b]
+
+
+@compiled
+def give_birth(mean, covariance, n, size, blocks, scan, measurement, kinds, association, start, model):
+    """Append the newborn blocks of one association; `mean` and `covariance` have room for them beyond `size`.
+
+    With G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹ the newborn's error is -G(A e_s + ε): its covariance with the UE and every landmark is -G A P_s·
+    and between two births G A P_s AᵀGᵀ. The UE itself stays as it is.
+    """
+    m = scan.z.shape[0] if scan.z.shape[0] == 0 else scan.z.shape[1]
+    gain, own = np.empty((3, m)), np.empty((3, 3))
+    predicted, by_state, by_landmark = np.empty(m), np.empty((m, n)), np.empty((m, 3))
+    state_covariance = covariance[:n, :n].copy()
+    state = mean[:n]
+    for c in range(measurement.shape[0]):
+        p, kind = measurement[c], kinds[c]
+        at = size + 3 * c
+        if association[p] >= 0:  # explained otherwise here; the block has weight zero
+            for i in range(3):
+                mean[at + i] = start[c, i]
+                covariance[at + i, at + i] = 1.0
+            continue
+        x = mean[at : at + 3]
+        for i in range(3):
+            x[i] = start[c, i]
+        valid, _, _ = fit_landmark(
+            scan.z[p], scan.covariance[p], state, state_covariance, kind, model.site, x, gain, own
+        )
+        if not valid:  # the updated UE makes the path impossible; keep the prediction's point, widely
+            if not starting_point(scan.z[p], state, kind, model.site, x):
+                for i in range(3):
+                    x[i] = start[c, i]
+            for i in range(3):
+                covariance[at + i, at + i] = 100.0
+            continue
+        linearize(state, x, kind, model.site, predicted, by_state, by_landmark)
+        pull = np.zeros((3, n))
+        for i in range(3):
+            for k in range(n):
+                for r in range(m):
+                    pull[i, k] -= gain[i, r] * by_state[r, k]
+        for i in range(3):
+            for j in range(at):
+                value = 0.0
+                for k in range(n):
+                    value += pull[i, k] * covariance[k, j]
+                covariance[at + i, j] = value
+                covariance[j, at + i] = value
+            for j in range(3):
+                covariance[at + i, at + j] = own[i, j]
+
+
+@compiled
+def moment_match(log_weight, means, covariances, weights, n):
+    """Moments of a mixture in which block b of component a has existence weights[a, b].
+
+    Blocks use weights conditional on their existence, w_ab ∝ w_a β_ab; the Gram form Σ_a √(w_ai w_aj)(P_a + δδᵀ) keeps
+    the whole matrix positive semidefinite.
+    """
+    components, size = means.shape
+    blocks = weights.shape[1]
+    share = np.zeros((components, size))
+    for b in range(blocks):
+        total = 0.0
+        for a in range(components):
+            total += math.exp(log_weight[a]) * weights[a, b]
+        low = 0 if b == 0 else start_of(n, b)
+        high = n if b == 0 else low + 3
+        for a in range(components):
+            value = math.exp(log_weight[a]) * weights[a, b] / total if total > 0.0 else 1.0 / components
+            for i in range(low, high):
+                share[a, i] = value
+    # Headings are not wrapped: all components descend from one prior and stay within a fraction of a turn.
+    mean = np.zeros(size)
+    for a in range(components):
+        for i in range(size):
+            mean[i] += share[a, i] * means[a, i]
+    covariance = np.zeros((size, size))
+    root = np.sqrt(share)
+    delta = np.empty(size)
+    for a in range(components):
+        for i in range(size):
+            delta[i] = means[a, i] - mean[i]
+        for i in range(size):
+            scale = root[a, i]
+            if scale > 0.0:
+                for j in range(size):
+                    covariance[i, j] += scale * root[a, j] * (covariances[a, i, j] + delta[i] * delta[j])
+    return mean, covariance
+
+
+@compiled
+def drop_cross_covariances(covariance, n):
+    """Keep the marginals of the UE and of every landmark only, (31)-(32)."""
+    size = covariance.shape[0]
+    for i in range(size):
+        for j in range(size):
+            own_i = -1 if i < n else (i - n) // 3
+            own_j = -1 if j < n else (j - n) // 3
+            if own_i != own_j:
+                covariance[i, j] = 0.0
+
+
+@compiled
+def cap_existence(weight, track, limit):
+    """Scale the siblings of a track so that its existence stays at or below `limit`; the BS is exempt."""
+    b = 1
+    while b < track.shape[0]:
+        last = b
+        total = 0.0
+        while last < track.shape[0] and track[last] == track[b]:
+            total += weight[last]
+            last += 1
+        if total > limit:
+            for i in range(b, last):
+                weight[i] *= limit / total
+        b = last
+
+
+@compiled
+def newborn_table(log_weight, association, log_term, log_new, prune):
+    """Measurement and kind of every birth whose weight over all associations reaches `prune`."""
+    count = log_new.shape[0]
+    measurement, kinds = np.empty(2 * count, dtype=np.int64), np.empty(2 * count, dtype=np.int64)
+    total = 0
+    for p in range(count):
+        new = 0.0
+        for a in range(association.shape[0]):
+            if association[a, p] < 0:
+                new += math.exp(log_weight[a])
+        for t in range(2):
+            if new * math.exp(log_term[p, t] - log_new[p]) >= prune:
+                measurement[total] = p
+                kinds[total] = VA + t
+                total += 1
+    return measurement[:total].copy(), kinds[:total].copy()
+
+
+@compiled
+def update(density, n, local, scan, chosen, log_term, log_new, position, model):
+    """Update under every association in `chosen`, project onto one PMB.
+
+    Returns
+    -------
+    posterior : PMB (nothing pruned yet)
+    log_weight : (g,) array, final weights of the associations
+    distance : float, rows : int; NIS of the likeliest association and its degrees of freedom
+    """
+    components, count = chosen.track.shape
+    m = scan.z.shape[1]
+    old = density.kind.shape[0]
+    size = density.mean.shape[0]
+    measurement, kinds = newborn_table(chosen.log_weight, chosen.track, log_term, log_new, model.prune)
+    born = kinds.shape[0]
+    full = size + 3 * born
+    start = np.empty((born, 3))
+    for c in range(born):
+        start[c] = position[measurement[c], kinds[c] - VA]
+    means, covariances = np.zeros((components, full)), np.zeros((components, full, full))
+    weights = np.zeros((components, old + born))
+    references, detections = np.zeros((components, old + born)), np.zeros((components, old + born))
+    log_weight = chosen.log_weight.copy()
+    work = workspace(m, n, size)
+    distance, rows, best = 0.0, 0, -np.inf
+    for a in range(components):
+        association = chosen.track[a]
+        mean, covariance, d, evidence = joint_update(density, n, local, scan, association, model, work)
+        means[a, :size] = mean
+        covariances[a, :size, :size] = covariance
+        weights_after(density, local, scan, association, model, weights[a], references[a], detections[a])
+        if born > 0:
+            give_birth(
+                means[a], covariances[a], n, size, old, scan, measurement, kinds, association, start, model
+            )
+        for c in range(born):
+            p, t = measurement[c], kinds[c] - VA
+            if association[p] < 0:
+                weights[a, old + c] = math.exp(log_term[p, t] - log_new[p])
+            x = means[a, size + 3 * c : size + 3 * c + 3]
+            references[a, old + c] = scan.log_snr[p] + log_spreading(kinds[c], x, means[a], model.site)
+            detections[a, old + c] = 1.0
+        if model.reweight:
+            log_weight[a] += evidence - single_evidence(density, local, association)
+        if log_weight[a] > best:
+            best, distance, rows = log_weight[a], d, 0
+            for p in range(count):
+                rows += m if association[p] >= 0 else 0
+    log_weight = normalize_weights(log_weight)
+    if components == 1:
+        mean, covariance = means[0], covariances[0]
+    else:
+        mean, covariance = moment_match(log_weight, means, covariances, weights, n)
+    weight, reference, detection = np.zeros(old + born), np.zeros(old + born), np.zeros(old + born)
+    for b in range(old + born):
+        for a in range(components):
+            share = math.exp(log_weight[a])
+            weight[b] += share * weights[a, b]
+            reference[b] += share * references[a, b]
+            detection[b] += share * detections[a, b]
+    if not model.joint:
+        drop_cross_covariances(covariance, n)
+    kind, track = np.empty(old + born, dtype=np.int64), np.empty(old + born, dtype=np.int64)
+    kind[:old], track[:old] = density.kind, density.track
+    for c in range(born):
+        kind[old + c] = kinds[c]
+        track[old + c] = scan.first + measurement[c]
+    cap_existence(weight, track, model.existence_limit)
+    trail = np.empty((density.trail.shape[0] + 1, 2))
+    trail[:-1] = density.trail
+    trail[-1] = mean[:2]
+    posterior = PMB(mean, covariance, kind, weight, track, reference, detection, trail)
+    return posterior, log_weight, distance, rows
+
+
+@compiled
+def single_evidence(density, local, association):
+    """Σ ln N(z^p; ẑ, S) over the pairs of an association: what the evidence of the joint update replaces."""
+    total = 0.0
+    for p in range(association.shape[0]):
+        t = association[p]
+        if t >= 0:
+            b = likeliest_block(local, p, t)
+            total += local.log_detected[p, b] - math.log(density.weight[b] * local.detection[b])
+    return total
+
+
+@compiled
+def normalize_weights(log_weight):
+    """Log-weights that sum to one."""
+    top = log_weight.max()
+    total = 0.0
+    for i in range(log_weight.shape[0]):
+        total += math.exp(log_weight[i] - top)
+    return log_weight - (top + math.log(total))
