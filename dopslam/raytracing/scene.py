@@ -6,6 +6,7 @@ Everything a user can get wrong in a scene file is found here and said in one se
 from __future__ import annotations
 
 import difflib
+import gc
 import importlib.util
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -89,6 +90,7 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         raise SceneError(f"{file}: not a readable XML file ({error})") from error
     _map_materials(root, source.materials, file)
     _check_materials(root, carrier_frequency, file)
+    gc.collect()  # scenes are cyclic; one still registered in the ray tracer changes its kernels, which compile again
     previous = mi.file_resolver()
     resolver = mi.FileResolver(previous)
     resolver.append(str(file.parent))
