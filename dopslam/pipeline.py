@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import dataset, radio
+from dopslam import build, dataset, radio
+from dopslam import simulate as simulate_module
 from dopslam.config import Scenario, parse
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
 
@@ -52,30 +53,20 @@ class Traced:
 
 def draw_track(scenario: Scenario, seed: int) -> Track:
     """The receiver's true track: drawn from the motion model, eq. (1), or exactly its mean."""
-    from dopslam.simulate import simulate_track
-
-    config = scenario.track
-    rng = generator(seed, Component.TRACK) if config.random else None
-    return simulate_track(
-        motion=motion_model(scenario),
-        mean=np.array(config.start),
-        std=np.array(config.start_std),
-        steps=config.steps,
-        height=scenario.receiver.height,
-        rng=rng,
-    )
-
-
-def motion_model(scenario: Scenario):
-    """Coordinated turn with the scenario's speed and turn rate, both known to the filter."""
-    from dopslam.models.motion import CoordinatedTurn
-
-    config = scenario.track
-    return CoordinatedTurn(
-        interval=config.period,
-        process_noise=np.diag(np.square(config.process_std)),
-        speed=config.speed,
-        turn_rate=config.turn_rate,
+    config, world = scenario.track, build.situation(scenario)
+    if config.random:
+        state = simulate_module.draw_track(world, generator(seed, Component.TRACK))
+    else:
+        state = simulate_module.nominal_track(world)
+    heading = state[:, 2]
+    forward = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(state))])
+    return Track(
+        time=config.period * np.arange(1, len(state) + 1),
+        position=np.column_stack([state[:, :2], np.full(len(state), scenario.receiver.height)]),
+        heading=heading,
+        velocity=config.speed * forward,
+        bias=state[:, 3],
+        start=np.array(config.start),
     )
 
 

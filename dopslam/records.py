@@ -51,7 +51,7 @@ class Track:
     heading : (K,) rad, azimuth of the receiver's array and direction of travel
     velocity : (K, 3) m/s, world frame
     bias : (K,) m, clock bias times c
-    start : (4,) [x m, y m, heading rad, bias m], the state one period before the first measured step
+    start : (4,) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before the first step
     """
 
     time: np.ndarray

@@ -1,0 +1,91 @@
+"""From a scenario to the parameter records of motion, simulation and filters: the one place where config keys meet them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dopslam.config import Scenario
+from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
+from dopslam.models.motion import CoordinatedTurn
+from dopslam.records import DetectionSeries, Kind, Landmarks
+from dopslam.simulate import FixedNoise, Situation
+from dopslam.slam.ek_pmb import FilterParameters
+
+
+def motion(scenario: Scenario) -> CoordinatedTurn:
+    """Coordinated turn, eq. (1), with the scenario's speed and turn rate, both known to the filter."""
+    track = scenario.track
+    return CoordinatedTurn(track.period, np.diag(np.square(track.process_std)), track.speed, track.turn_rate)
+
+
+def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
+    """Mean (4,) and covariance (4, 4) of the receiver's initial knowledge.
+
+    ``reading`` takes ``track.start_std`` as standard deviations (``"std"``) or, the literal reading of paper A's Section V, as
+    variances (``"var"``).
+    """
+    spread = np.array(scenario.track.start_std)
+    return np.array(scenario.track.start), np.diag(spread**2 if reading == "std" else spread)
+
+
+def model_landmarks(scenario: Scenario) -> Landmarks:
+    """The landmarks that the model source draws detections from: the BS, the listed virtual anchors, the scatter points."""
+    anchors, points = scenario.source.model.virtual_anchors, scenario.scatter_point
+    return Landmarks(
+        name=np.array(["BS", *(f"VA{i}" for i in range(len(anchors))), *(f"SP {p.name}" for p in points)]),
+        kind=np.array([Kind.BS] + [Kind.VA] * len(anchors) + [Kind.SP] * len(points), dtype=np.int8),
+        position=np.array([scenario.base_station.position, *anchors, *(p.position for p in points)]),
+        order=np.array([0] + [1] * (len(anchors) + len(points))),
+    )
+
+
+def measurement_std(scenario: Scenario) -> np.ndarray:
+    """Standard deviations (6,) of the model source [m, rad ×4, m/s]."""
+    model = scenario.source.model
+    return np.array([model.range_std, *[model.angle_std] * 4, model.doppler_std])
+
+
+def situation(scenario: Scenario, reading: str = "std") -> Situation:
+    """The world of the model source (paper A, Section V)."""
+    model, landmarks = scenario.source.model, model_landmarks(scenario)
+    mean, covariance = prior(scenario, reading)
+    return Situation(
+        bs=np.array(scenario.base_station.position),
+        kind=landmarks.kind.astype(np.int64),
+        position=landmarks.position,
+        motion=motion(scenario),
+        prior_mean=mean,
+        prior_covariance=covariance,
+        steps=scenario.track.steps,
+        noise=FixedNoise(measurement_std(scenario), model.detection_probability, model.sp_range),
+        clutter_count=model.clutter_rate,
+        clutter_range=model.clutter_range,
+        doppler_limit=scenario.track.speed,
+        height=scenario.receiver.height,
+    )
+
+
+def detection_model(scenario: Scenario, detections: DetectionSeries | None = None) -> DetectionModel:
+    """p_D that follows the SNR of the detections, or the constant of the model source."""
+    if scenario.source.kind == "traced" and detections is not None:
+        return SnrDetection(detections.threshold)
+    model = scenario.source.model
+    return ConstantDetection(model.detection_probability, model.sp_range)
+
+
+def filter_parameters(
+    scenario: Scenario, detection: DetectionModel, density: str | None = None, doppler: bool = True
+) -> FilterParameters:
+    """The filter's parameters; ``density`` overrides the scenario's ``joint`` or ``marginal``."""
+    config = scenario.filter
+    return FilterParameters(
+        joint=(density or config.density) == "joint",
+        doppler=doppler,
+        iterations=config.iterations,
+        associations=config.associations,
+        gate=config.gate,
+        survival=config.survival,
+        intensity=(config.intensity_va, config.intensity_sp),
+        prune=config.prune_existence,
+        detection=detection,
+    )
