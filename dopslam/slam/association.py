@@ -54,6 +54,7 @@ def assign(cost):
     -------
     total : float, infinity if there is no assignment
     column_of : (rows,) int array
+    u, v : (rows,), (columns,) arrays; dual variables: cost - u - v ≥ 0, zero on assigned pairs, v ≤ 0
     """
     rows, columns = cost.shape
     row_of = np.full(columns, -1)
@@ -63,7 +64,7 @@ def assign(cost):
     for row in range(rows):
         length, sink, distance, before, done = _augment(cost, row_of, u, v, row)
         if sink < 0:
-            return np.inf, column_of
+            return np.inf, column_of, u, v
         u[row] += length
         for j in range(columns):
             if done[j]:
@@ -81,7 +82,7 @@ def assign(cost):
     total = 0.0
     for i in range(rows):
         total += cost[i, column_of[i]]
-    return total, column_of
+    return total, column_of, u, v
 
 
 @compiled
@@ -102,7 +103,7 @@ def k_best(cost, k, slack):
     rows, columns = cost.shape
     totals = np.empty(k)
     solutions = np.empty((k, rows), dtype=np.int64)
-    best, column_of = assign(cost)
+    best, column_of, u, v = assign(cost)
     if rows == 0 or best == np.inf:
         totals[0] = 0.0 if rows == 0 else np.inf
         return totals[: 1 if rows == 0 else 0], solutions[: 1 if rows == 0 else 0]
@@ -113,6 +114,12 @@ def k_best(cost, k, slack):
     candidate = np.empty((room, rows), dtype=np.int64)
     prefix = np.zeros(room, dtype=np.int64)
     forbidden = np.zeros((room, rows, columns), dtype=np.bool_)
+    # cost - u - v with the root's duals: what a pair adds to the best total at least, so that most children are
+    # dismissed without solving them.
+    reduced = np.empty((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            reduced[i, j] = cost[i, j] - u[i] - v[j]
     candidate_total[0] = best
     candidate[0] = column_of
     found = 0
@@ -130,27 +137,31 @@ def k_best(cost, k, slack):
         banned = forbidden[top].copy()
         fixed = prefix[top]
         candidate_total[top] = np.inf
-        for branch in range(fixed, rows):
-            # rows before `branch` keep the parent's columns, `branch` must not
-            for i in range(rows):
+        slot = np.argmax(candidate_total)  # an empty slot, or the dearest candidate
+        at_least, base = best, 0.0
+        for branch in range(rows):  # rows before `branch` keep the parent's columns, `branch` must not
+            if branch >= fixed:
+                cheapest = np.inf
                 for j in range(columns):
-                    work[i, j] = np.inf if banned[i, j] else cost[i, j]
-            work[branch, parent[branch]] = np.inf
-            base = 0.0
-            for i in range(branch):
-                base += cost[i, parent[i]]
-                for j in range(branch, rows):
-                    work[j, parent[i]] = np.inf
-            sub_total, sub = assign(work[branch:])
-            if sub_total == np.inf or base + sub_total > best + slack:
-                continue
-            slot = np.argmax(candidate_total)  # an empty slot, or the dearest candidate
-            if candidate_total[slot] <= base + sub_total:
-                continue
-            candidate_total[slot] = base + sub_total
-            candidate[slot, :branch] = parent[:branch]
-            candidate[slot, branch:] = sub
-            prefix[slot] = branch
-            forbidden[slot] = banned
-            forbidden[slot, branch, parent[branch]] = True
+                    if j != parent[branch] and not banned[branch, j]:
+                        cheapest = min(cheapest, reduced[branch, j])
+                limit = min(best + slack, candidate_total[slot])
+                if at_least + cheapest < limit:
+                    for i in range(branch, rows):
+                        for j in range(columns):
+                            work[i, j] = np.inf if banned[i, j] else cost[i, j]
+                        for j in range(branch):
+                            work[i, parent[j]] = np.inf
+                    work[branch, parent[branch]] = np.inf
+                    sub_total, sub, _, _ = assign(work[branch:])
+                    if base + sub_total < limit:
+                        candidate_total[slot] = base + sub_total
+                        candidate[slot, :branch] = parent[:branch]
+                        candidate[slot, branch:] = sub
+                        prefix[slot] = branch
+                        forbidden[slot] = banned
+                        forbidden[slot, branch, parent[branch]] = True
+                        slot = np.argmax(candidate_total)
+            base += cost[branch, parent[branch]]
+            at_least += max(reduced[branch, parent[branch]], 0.0)
     return totals[:found], solutions[:found]

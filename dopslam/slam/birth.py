@@ -16,6 +16,7 @@ from dopslam.models.kernels import SP, VA, cholesky, linearize, solve_lower, sub
 from dopslam.slam.pmb import look_up
 
 MAX_STEPS = 8
+OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
 CONVERGED = 1e-2  # remaining decrease of χ² below which Gauss-Newton stops
 REDUNDANT_LIMIT = 50.0  # χ²_min above which a measurement is no single-bounce path
 
@@ -65,7 +66,7 @@ def starting_point(z, state, kind, site, x):
 
 
 @compiled
-def fit_landmark(z, noise, state, state_covariance, kind, site, x, gain, covariance):
+def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain, covariance):
     """Gauss-Newton for x̂ = argmin χ²(x) with the UE's uncertainty in R̃.
 
     Parameters
@@ -74,6 +75,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, x, gain, covaria
     state, state_covariance : (n,), (n, n)
     kind : int
     site : 5-tuple
+    enough : float; stop after one step if log_volume - ½χ²_min is expected below this (-inf: always converge)
     x : (3,) array, start; overwritten with x̂
     gain : (3, m) array, written: G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹
     covariance : (3, 3) array, written: (BᵀR̃⁻¹B)⁻¹
@@ -94,20 +96,22 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, x, gain, covaria
     information = np.empty((3, 3))
     step = np.empty(3)
     nu = np.empty(m)
+    moved = np.empty((m, n))
     chi2 = np.inf
     log_volume = 0.0
     for iteration in range(MAX_STEPS):
         valid = linearize(state, x, kind, site, predicted, by_state, by_landmark)
         subtract(z, predicted, by_landmark, by_state, nu)
         for i in range(m):
-            for j in range(m):
-                value = noise[i, j]
+            for b in range(n):
+                value = 0.0
                 for a in range(n):
-                    if by_state[i, a] != 0.0:
-                        inner = 0.0
-                        for b in range(n):
-                            inner += state_covariance[a, b] * by_state[j, b]
-                        value += by_state[i, a] * inner
+                    value += by_state[i, a] * state_covariance[a, b]
+                moved[i, b] = value
+            for j in range(i + 1):
+                value = noise[i, j]
+                for b in range(n):
+                    value += moved[i, b] * by_state[j, b]
                 factor[i, j] = value
         if not cholesky(factor, m):
             return False, np.inf, 0.0
@@ -144,17 +148,18 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, x, gain, covaria
         shrink = min(1.0, 0.3 * reach / max(length, 1e-12))
         for i in range(3):
             x[i] += shrink * step[i]
-        if decrease < CONVERGED:
+        log_volume = 0.0
+        for i in range(m):
+            log_volume -= math.log(factor[i, i])
+        for i in range(3):
+            log_volume -= math.log(information[i, i])
+        if decrease < CONVERGED or log_volume - 0.5 * (chi2 - decrease) < enough:
             chi2 -= decrease
             break
         if iteration == 0 and chi2 - decrease > 4.0 * REDUNDANT_LIMIT + 100.0:
             return False, chi2, 0.0
     if not valid:
         return False, chi2, 0.0
-    for i in range(m):
-        log_volume -= math.log(factor[i, i])
-    for i in range(3):
-        log_volume -= math.log(information[i, i])
     # covariance = (C Cᵀ)⁻¹ with the Cholesky factor C; gain = covariance · (L⁻¹B)ᵀ L⁻¹
     inverse = np.zeros((3, 3))
     for j in range(3):
@@ -222,7 +227,7 @@ def undetected_intensity(x, spread, kind, reference, density, model):
 
 
 @compiled
-def new_hypotheses(density, n, scan, model):
+def new_hypotheses(density, n, scan, local, model):
     """Birth terms of every measurement.
 
     Returns
@@ -242,13 +247,26 @@ def new_hypotheses(density, n, scan, model):
     constant = 0.5 * (3 - m) * math.log(2.0 * math.pi)
     for p in range(count):
         total = scan.clutter
+        best_track = -np.inf
+        for t in range(local.log_ratio.shape[1]):
+            best_track = max(best_track, local.log_ratio[p, t])
         for t in range(2):
             kind = VA + t
+            most = math.log(model.intensity[t] + model.birth_intensity[t]) + constant
             x = position[p, t]
             if not starting_point(scan.z[p], state, kind, model.site, x):
                 continue
             valid, chi2, log_volume = fit_landmark(
-                scan.z[p], scan.covariance[p], state, state_covariance, kind, model.site, x, gain, covariance
+                scan.z[p],
+                scan.covariance[p],
+                state,
+                state_covariance,
+                kind,
+                model.site,
+                best_track - OUTWEIGHED - most,
+                x,
+                gain,
+                covariance,
             )
             if not valid or not chi2 < REDUNDANT_LIMIT:
                 continue

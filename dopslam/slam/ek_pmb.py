@@ -166,8 +166,8 @@ def step(posterior, scan, model):
     n = ue_size(posterior)
     prior = predict(posterior, model)
     local = local_hypotheses(prior, n, scan, model)
-    log_term, log_new, position = new_hypotheses(prior, n, scan, model)
-    associations = best_associations(local, log_new, model.gamma)
+    log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
+    associations = best_associations(local, log_new, model)
     chosen = worth_updating(associations, model.negligible)
     updated, log_weight, nis, rows = update(
         prior, n, local, scan, chosen, log_term, log_new, position, model

@@ -21,8 +21,6 @@ from dopslam.slam.pmb import look_up, start_of
 
 Array = NDArray[np.float64]
 
-SLACK = 16.0  # associations e^-16 below the best are not searched for
-
 
 class Local(NamedTuple):
     """Local hypotheses of all blocks and measurements.
@@ -167,15 +165,18 @@ def normalize(log_weight):
 
 
 @compiled
-def best_associations(local, log_new, gamma):
-    """The γ most likely associations (Murty), with the weights of the product of single-landmark terms."""
+def best_associations(local, log_new, model):
+    """The γ most likely associations (Murty), with the weights of the product of single-landmark terms.
+
+    Those a tenth of `negligible` below the best are not searched for.
+    """
     count, tracks = local.log_ratio.shape
     cost = np.full((count, tracks + count), np.inf)
     for p in range(count):
         for t in range(tracks):
             cost[p, t] = -local.log_ratio[p, t]
         cost[p, tracks + p] = -log_new[p]
-    totals, solutions = k_best(cost, gamma, SLACK)
+    totals, solutions = k_best(cost, model.gamma, math.log(10.0 / model.negligible))
     for g in range(solutions.shape[0]):
         for p in range(count):
             if solutions[g, p] >= tracks:

@@ -92,11 +92,14 @@ def _absorb(mean, covariance, work):
             mean[j] += work.projected[k, j] * u
     for i in range(size):
         row = covariance[i]
-        for k in range(m):
-            w = work.projected[k, i]
-            if w != 0.0:
-                for j in range(size):
-                    row[j] -= w * work.projected[k, j]
+        for k in range(0, m - 1, 2):  # two rows at a time: half the traffic through P
+            w, w_next = work.projected[k, i], work.projected[k + 1, i]
+            for j in range(size):
+                row[j] -= w * work.projected[k, j] + w_next * work.projected[k + 1, j]
+        if m % 2 == 1:
+            w = work.projected[m - 1, i]
+            for j in range(size):
+                row[j] -= w * work.projected[m - 1, j]
 
 
 @compiled
@@ -226,7 +229,7 @@ def give_birth(mean, covariance, n, size, blocks, scan, measurement, kinds, asso
         for i in range(3):
             x[i] = start[c, i]
         valid, _, _ = fit_landmark(
-            scan.z[p], scan.covariance[p], state, state_covariance, kind, model.site, x, gain, own
+            scan.z[p], scan.covariance[p], state, state_covariance, kind, model.site, -np.inf, x, gain, own
         )
         if not valid:  # the updated UE makes the path impossible; keep the prediction's point, widely
             if not starting_point(scan.z[p], state, kind, model.site, x):

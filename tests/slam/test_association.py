@@ -33,11 +33,14 @@ def test_assignment_matches_scipy(seed):
     rng = np.random.default_rng(seed)
     rows = int(rng.integers(1, 9))
     cost = slam_like(rng, rows, int(rng.integers(0, 9)))
-    total, columns = assign(cost)
+    total, columns, u, v = assign(cost)
     finite = np.where(np.isfinite(cost), cost, 1e6)
     row, column = linear_sum_assignment(finite)
     assert total == pytest.approx(finite[row, column].sum(), abs=1e-9)
     assert len(set(columns)) == rows
+    reduced = cost - u[:, None] - v
+    assert reduced.min() > -1e-9 and v.max() <= 0
+    np.testing.assert_allclose(reduced[np.arange(rows), columns], 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -65,3 +68,4 @@ def test_nothing_to_assign_and_nothing_possible():
     totals, solutions = k_best(np.empty((0, 3)), 5, 10.0)
     assert totals.tolist() == [0.0] and solutions.shape == (1, 0)
     assert assign(np.full((1, 2), np.inf))[0] == np.inf
+    assert len(k_best(np.full((1, 2), np.inf), 3, 10.0)[0]) == 0
