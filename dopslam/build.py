@@ -7,6 +7,7 @@ import numpy as np
 from dopslam.config import Scenario
 from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.scans import Scans, from_detections
 from dopslam.records import DetectionSeries, Kind, Landmarks
 from dopslam.simulate import FixedNoise, Situation
 from dopslam.slam.ek_pmb import FilterParameters
@@ -65,10 +66,18 @@ def situation(scenario: Scenario, reading: str = "std") -> Situation:
     )
 
 
-def detection_model(scenario: Scenario, detections: DetectionSeries | None = None) -> DetectionModel:
-    """p_D that follows the SNR of the detections, or the constant of the model source."""
-    if scenario.source.kind == "traced" and detections is not None:
-        return SnrDetection(detections.threshold)
+def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
+    """Detections of a run as the filters read them."""
+    traced = scenario.source.kind == "traced"
+    limit = scenario.estimator.max_radial_velocity if traced else scenario.track.speed
+    yaw = np.deg2rad(scenario.base_station.yaw_deg)
+    return from_detections(detections, bs_yaw=yaw, doppler_span=2 * limit)
+
+
+def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
+    """p_D that follows the SNR of the detections (``threshold`` on ρ), or the constant of the model source."""
+    if scenario.source.kind == "traced":
+        return SnrDetection(threshold)
     model = scenario.source.model
     return ConstantDetection(model.detection_probability, model.sp_range)
 

@@ -8,7 +8,7 @@ in the same process.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +19,8 @@ from dopslam import build, dataset, radio
 from dopslam import simulate as simulate_module
 from dopslam.config import Scenario, parse
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.slam import ek_pmb
+from dopslam.slam.ek_pmb import History
 
 Progress = Callable[[str, int, int], None]
 
@@ -232,3 +234,69 @@ def stack_detections(scenario: Scenario, snapshots: list) -> DetectionSeries:
         false_alarm_rate=scenario.estimator.false_alarm_rate,
         search_volume=float(volume),
     )
+
+
+def simulate(scenario: Scenario, seed: int) -> tuple[Track, Landmarks, DetectionSeries]:
+    """A run of the model source: track, landmarks, and detections drawn from the measurement model."""
+    world, landmarks = build.situation(scenario), build.model_landmarks(scenario)
+    track = draw_track(scenario, seed)
+    rng, clutter = (generator(seed, Component.DETECTIONS, part) for part in range(2))
+    drawn = simulate_module.draw_scans(world, track.state, rng, clutter)
+    scale = np.array([1 / SPEED_OF_LIGHT, 1, 1, 1, 1, 1])
+    detections = DetectionSeries(
+        offsets=drawn.offsets,
+        delay=drawn.z[:, 0] * scale[0],
+        aoa=drawn.z[:, 1:3],
+        aod=drawn.z[:, 3:5],
+        radial_velocity=drawn.z[:, 5],
+        gain=np.zeros(len(drawn.z), complex),
+        covariance=drawn.covariance * scale[:, None] * scale,
+        snr=np.ones(len(drawn.z)),
+        noise_variance=np.ones(drawn.steps),
+        threshold=1.0,
+        false_alarm_rate=drawn.clutter_count,
+        search_volume=drawn.search_volume,
+    )
+    return track, landmarks, detections
+
+
+def blur(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
+    """The same detections with noise of the model source's R added, and R added to their covariances.
+
+    Takes sharp detections to the accuracy of paper A's Section V without touching which paths are found.
+    """
+    std = build.measurement_std(scenario) * [1 / SPEED_OF_LIGHT, 1, 1, 1, 1, 1]
+    noise = generator(seed, Component.DETECTIONS, 2).standard_normal((len(detections.delay), 6)) * std
+    return replace(
+        detections,
+        delay=detections.delay + noise[:, 0],
+        aoa=detections.aoa + noise[:, 1:3],
+        aod=detections.aod + noise[:, 3:5],
+        radial_velocity=detections.radial_velocity + noise[:, 5],
+        covariance=detections.covariance + np.diag(std**2),
+    )
+
+
+def slam(scenario: Scenario, detections: DetectionSeries, density: str | None = None, doppler: bool = True) -> History:
+    """Track and map from detections; the filter knows the BS, speed, turn rate, and its initial mean and covariance.
+
+    Parameters
+    ----------
+    density : ``"joint"`` or ``"marginal"``; default the scenario's
+    doppler : whether the Doppler row is used
+
+    Raises
+    ------
+    FilterError
+        If the detections cannot be filtered.
+    """
+    detection = build.detection_model(scenario, detections.threshold)
+    history, _ = ek_pmb.run(
+        build.scans(scenario, detections),
+        build.prior(scenario),
+        build.motion(scenario),
+        np.array(scenario.base_station.position),
+        build.filter_parameters(scenario, detection, density, doppler),
+        scenario.receiver.height,
+    )
+    return history

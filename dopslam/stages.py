@@ -9,6 +9,7 @@ from dopslam.config import Scenario, override, parse
 from dopslam.errors import DatasetError
 from dopslam.pipeline import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.slam.ek_pmb import History
 
 
 def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
@@ -70,3 +71,42 @@ def read_truth(path: Path) -> tuple[Track, Landmarks, Paths | None, FloorPlan | 
 def read_detections(path: Path) -> DetectionSeries:
     """The detections in a dataset."""
     return dataset.read_record(path, "detections", DetectionSeries)
+
+
+VARIANTS = {
+    "joint": ("joint", True),
+    "joint, no Doppler": ("joint", False),
+    "marginal": ("marginal", True),
+    "marginal, no Doppler": ("marginal", False),
+}
+
+
+def variant_name(density: str, doppler: bool) -> str:
+    """Name of a filter variant in tables and files."""
+    return density if doppler else f"{density}, no Doppler"
+
+
+def _group(kind: str, name: str) -> str:
+    return f"{kind}_{name.replace(', ', '_').replace(' ', '_').lower()}"
+
+
+def slam(path: Path, settings=(), density: str | None = None, doppler: bool = True) -> str:
+    """Add the history of one filter variant; returns its name."""
+    scenario, seed = scenario_of(path, settings)
+    detections = read_detections(path)
+    if scenario.source.kind == "traced" and scenario.source.traced.added_noise == "model":
+        detections = pipeline.blur(scenario, detections, seed)
+    history = pipeline.slam(scenario, detections, density, doppler)
+    name = variant_name(density or scenario.filter.density, doppler)
+    dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
+    return name
+
+
+def histories(path: Path) -> dict[str, History]:
+    """The filter histories a dataset holds, by variant name."""
+    have = set(dataset.groups(path))
+    return {
+        name: dataset.read_record(path, _group("slam", name), History)
+        for name in VARIANTS
+        if _group("slam", name) in have
+    }

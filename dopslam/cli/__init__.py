@@ -12,6 +12,7 @@ from cyclopts import App, CycloptsError
 
 VERBS = {
     "run": "Trace, synthesize, estimate, run SLAM, bound and evaluate one scenario; leaves a results folder.",
+    "simulate": "Draw a track and detections from the measurement model into a dataset file, without tracing.",
     "trace": "Drive a track through a scene and trace its paths into a dataset file.",
     "synthesize": "Add the received signal of every step (paper A, eq. 2) to a dataset file.",
     "estimate": "Estimate the paths of every snapshot: detections with their covariances.",

@@ -1,0 +1,30 @@
+"""``dopslam simulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dopslam.cli.common import Settings, overrides
+
+
+def simulate(scene: str, *, out: Path, seed: int = 0, doppler_std: float | None = None, settings: Settings = None) -> None:
+    """Draw a track and its detections from the measurement model, without tracing, into a new dataset file.
+
+    Parameters
+    ----------
+    scene
+        Folder with scenario.toml, or the name of a scene that ships.
+    out
+        Dataset file to make.
+    seed
+        Of track, detections and clutter.
+    doppler_std
+        Standard deviation of the radial velocity [m/s]; shorthand for --set source.model.doppler_std=….
+    settings
+        Override a scenario key.
+    """
+    from dopslam import stages
+    from dopslam.config import load
+
+    flags = overrides(settings, source__kind="model", source__model__doppler_std=doppler_std and str(doppler_std))
+    stages.simulate(out, load(scene, flags), seed)
