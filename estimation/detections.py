@@ -89,6 +89,18 @@ class Detections:
 
     def take(self, index) -> Detections:
         """A selection of the paths (index array, mask or slice)."""
-        columns = ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "tangent_covariance", "snr", "flags")
+        columns = (
+            "delay",
+            "aoa",
+            "aod",
+            "radial_velocity",
+            "gain",
+            "covariance",
+            "tangent_covariance",
+            "snr",
+            "flags",
+        )
         rest = ("noise_variance", "threshold", "false_alarm_rate", "active")
-        return Detections(**{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest})
+        return Detections(
+            **{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest}
+        )

@@ -56,11 +56,12 @@ def differences(found: Float, truth: Float, period: float = np.inf) -> Float:
     return error
 
 
-def associate(model: SignalModel, detections: Detections, paths: PathTable, noise_variance: float, gate: float = GATE) -> Match:
+def associate(
+    model: SignalModel, detections: Detections, paths: PathTable, noise_variance: float, gate: float = GATE
+) -> Match:
     """Optimal assignment of detections to true paths by squared Mahalanobis distance.
 
-    The distance uses the larger of the bound and the detection's own covariance per pair (their sum), so that a detection which merged
-    two unresolved paths is not counted as false merely because the bound of the resolved ones is sharp.
+    The distance uses the sum of the bound and the detection's own covariance per pair.
     """
     active = model.active
     truth = paths.vector
@@ -68,15 +69,36 @@ def associate(model: SignalModel, detections: Detections, paths: PathTable, nois
     rho = snr(model, paths, noise_variance)
     error = differences(detections.vector[:, None], truth[None], model.waveform.max_delay or np.inf)
     both = detections.covariance[:, None] + bound[None]
-    distance = _squared(error[..., active], both[..., active, :][..., active]) if error.size else np.empty(error.shape[:2])
-    row, column = linear_sum_assignment(np.minimum(np.nan_to_num(distance, nan=1e9), 10 * gate))
+    distance, volume = np.empty(error.shape[:2]), np.empty(error.shape[:2])
+    if error.size:
+        both = both[..., active, :][..., active]
+        distance, volume = (
+            np.nan_to_num(_squared(error[..., active], both), nan=1e9),
+            np.linalg.slogdet(both / _unit(bound, active))[1],
+        )
+    # The determinant keeps an unresolved path with a huge bound from taking the detection of its strong neighbor.
+    row, column = linear_sum_assignment(np.where(distance < gate, distance + volume, 1e6))
     good = distance[row, column] < gate
     row, column = row[good], column[good]
     detected = np.zeros(len(paths), bool)
     detected[column] = True
     part = np.ix_(np.arange(len(row)), np.flatnonzero(active), np.flatnonzero(active))
-    return Match(column, row, error[row, column][:, active], bound[column][part], detections.covariance[row][part], rho, detected,
-                 len(detections) - len(row))
+    return Match(
+        column,
+        row,
+        error[row, column][:, active],
+        bound[column][part],
+        detections.covariance[row][part],
+        rho,
+        detected,
+        len(detections) - len(row),
+    )
+
+
+def _unit(bound: Float, active) -> Float:
+    """Common units in which determinants of the pairs' covariances are of moderate size."""
+    scale = np.sqrt(np.median(np.diagonal(bound, axis1=1, axis2=2)[:, active], axis=0))
+    return np.outer(scale, scale)
 
 
 def _squared(error: Float, covariance: Float) -> Float:
@@ -125,17 +147,27 @@ def summarize(matches: list[Match], accuracy_from: float = 10**1.8) -> Summary:
     spread = 1.96 * ratio.std(axis=0) / np.sqrt(max(count, 1)) / (2 * np.maximum(rmse, 1e-300))
     mean = nees.mean() / size
     width = 1.96 * nees.std() / size / np.sqrt(max(count, 1))
-    return Summary(rmse, np.stack([rmse - spread, rmse + spread], axis=1), float(mean), np.array([mean - width, mean + width]),
-                   np.mean(error**2 / np.diagonal(own, axis1=1, axis2=2), axis=0), count,
-                   int(np.sum(np.any(ratio > 36, axis=1))), float(np.mean([m.false for m in matches])), len(matches))
+    return Summary(
+        rmse,
+        np.stack([rmse - spread, rmse + spread], axis=1),
+        float(mean),
+        np.array([mean - width, mean + width]),
+        np.mean(error**2 / np.diagonal(own, axis1=1, axis2=2), axis=0),
+        count,
+        int(np.sum(np.any(ratio > 36, axis=1))),
+        float(np.mean([m.false for m in matches])),
+        len(matches),
+    )
 
 
 def detection_by_band(matches: list[Match], edges_db) -> list[tuple[int, int]]:
     """(found, present) true paths per band of rho [dB]."""
     rho = 10 * np.log10(np.maximum(np.concatenate([m.rho for m in matches]), 1e-12))
     found = np.concatenate([m.detected for m in matches])
-    return [(int(found[(rho >= a) & (rho < b)].sum()), int(((rho >= a) & (rho < b)).sum()))
-            for a, b in zip(edges_db[:-1], edges_db[1:], strict=True)]
+    return [
+        (int(found[(rho >= a) & (rho < b)].sum()), int(((rho >= a) & (rho < b)).sum()))
+        for a, b in zip(edges_db[:-1], edges_db[1:], strict=True)
+    ]
 
 
 def nees_by_band(matches: list[Match], edges_db) -> list[tuple[float, int]]:
@@ -144,4 +176,7 @@ def nees_by_band(matches: list[Match], edges_db) -> list[tuple[float, int]]:
     nees = np.concatenate([m.nees for m in matches])
     size = matches[0].error.shape[1]
     bands = zip(edges_db[:-1], edges_db[1:], strict=True)
-    return [(float(nees[k].mean() / size) if k.any() else np.nan, int(k.sum())) for k in ((rho >= a) & (rho < b) for a, b in bands)]
+    return [
+        (float(nees[k].mean() / size) if k.any() else np.nan, int(k.sum()))
+        for k in ((rho >= a) & (rho < b) for a, b in bands)
+    ]

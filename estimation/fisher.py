@@ -20,8 +20,9 @@ def fisher_information(model: SignalModel, paths: PathTable, noise_variance: flo
     """(6P, 6P) information on delay [s], AOA and AOD tangents [rad], radial velocity [m/s] of all paths, gains eliminated."""
     if not noise_variance > 0:
         raise EstimationError(f"fisher_information: noise_variance must be positive, got {noise_variance}")
-    matrix = gram(model.evaluate(paths.geometry), model.columns)
-    lin = Linearization(paths.geometry, paths.gain, matrix, 0.0, np.zeros((len(paths), 6)))
+    blocks = model.evaluate(paths.geometry)
+    matrix = gram(blocks, model.columns)
+    lin = Linearization(paths.geometry, blocks, paths.gain, matrix, 0.0, np.zeros((len(paths), 6)))
     return information(lin, model.active) * 2 / noise_variance
 
 

@@ -27,7 +27,12 @@ from .refine import metric
 def expected_maxima(threshold, volume: float, parameters: int):
     """Expected number of noise maxima above ``threshold`` (Rice's formula, leading term)."""
     u = np.maximum(np.asarray(threshold, float), parameters + 1.0)
-    return volume * (2 * np.pi) ** (-parameters / 2 - 1) * eval_hermitenorm(parameters, np.sqrt(2 * u)) * np.exp(-u)
+    return (
+        volume
+        * (2 * np.pi) ** (-parameters / 2 - 1)
+        * eval_hermitenorm(parameters, np.sqrt(2 * u))
+        * np.exp(-u)
+    )
 
 
 def threshold_for(false_alarm_rate: float, volume: float, parameters: int) -> float:
@@ -39,22 +44,35 @@ def threshold_for(false_alarm_rate: float, volume: float, parameters: int) -> fl
         if the rate is not in (0, 100).
     """
     if not 0 < false_alarm_rate < 100:
-        raise ModelError(f"false_alarm_rate must lie between 0 and 100 expected false paths per snapshot, got {false_alarm_rate}")
+        raise ModelError(
+            f"false_alarm_rate must lie between 0 and 100 expected false paths per snapshot, got {false_alarm_rate}"
+        )
     lowest = parameters + 1.0
     if expected_maxima(lowest, volume, parameters) <= false_alarm_rate:
         return lowest
     return brentq(lambda u: float(expected_maxima(u, volume, parameters)) - false_alarm_rate, lowest, 700.0)
 
 
-def search_volume(model: SignalModel, max_delay: float, speeds: tuple[float, float], arrivals: Float, departures: Float,
-                  solid_angles: tuple[float, float], samples: int = 400) -> float:
+def search_volume(
+    model: SignalModel,
+    max_delay: float,
+    speeds: tuple[float, float],
+    arrivals: Float,
+    departures: Float,
+    solid_angles: tuple[float, float],
+    samples: int = 400,
+) -> float:
     """V of Rice's formula by quasi-random integration over delay, directions (samples of each view) and speed."""
     rng = np.random.default_rng(0)
     active = model.active
     delay = rng.uniform(0, max_delay, samples) if active[0] else np.zeros(samples)
     speed = rng.uniform(*speeds, samples) if active[5] else np.zeros(samples)
-    geometry = Geometry(delay, arrivals[rng.integers(len(arrivals), size=samples)],
-                        departures[rng.integers(len(departures), size=samples)], speed)
+    geometry = Geometry(
+        delay,
+        arrivals[rng.integers(len(arrivals), size=samples)],
+        departures[rng.integers(len(departures), size=samples)],
+        speed,
+    )
     matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), active)[:, active][:, :, active]
     root = np.sqrt(np.maximum(np.linalg.det(matrices), 0)).mean() if active.any() else 1.0
     extent = (max_delay if active[0] else 1.0) * (speeds[1] - speeds[0] if active[5] else 1.0)

@@ -48,7 +48,10 @@ def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float
         points = np.array([[1.0, 0.0, 0.0]])
     inside = array.faces(points)
     if azimuth or elevation:
-        narrowed = View(view.azimuth if azimuth else (-np.pi, np.pi), view.elevation if elevation else (-np.pi / 2, np.pi / 2))
+        narrowed = View(
+            view.azimuth if azimuth else (-np.pi, np.pi),
+            view.elevation if elevation else (-np.pi / 2, np.pi / 2),
+        )
         inside &= narrowed.contains(points)
     if not inside.any():
         raise ModelError(f"view {view} holds no direction that the array can see; widen it or turn the array")
@@ -67,7 +70,9 @@ def cover(vectors: Complex, retained: float, limit: int = 2000):
     return np.array(chosen)
 
 
-def direction_grid(view: View, array: Manifold, retained: float, seen: Callable[[Complex], Complex] = lambda a: a) -> Float:
+def direction_grid(
+    view: View, array: Manifold, retained: float, seen: Callable[[Complex], Complex] = lambda a: a
+) -> Float:
     """Directions (n, 3) covering ``view`` as seen through ``seen`` (beams, combiners), strongest array response first."""
     points, _ = directions_in(view, array)
     response = array.response(points)[0]
@@ -92,7 +97,9 @@ class DelayGrid:
     matrix: np.typing.NDArray[np.complex64] | None
 
     @staticmethod
-    def build(frequencies: Float, spacing: float | None, bandwidth: float, max_delay: float, oversampling: float) -> DelayGrid:
+    def build(
+        frequencies: Float, spacing: float | None, bandwidth: float, max_delay: float, oversampling: float
+    ) -> DelayGrid:
         """Cells from 0 to ``max_delay`` [s], ``oversampling`` per reciprocal bandwidth."""
         count = len(frequencies)
         if count == 1:
@@ -113,4 +120,6 @@ class DelayGrid:
         if self.matrix is not None:
             return (self.matrix @ signal.reshape(len(signal), -1)).reshape(-1, *signal.shape[1:])
         columns = signal.reshape(len(signal), -1)
-        return scipy.fft.ifft(columns, self.length, axis=0, norm="forward")[: len(self.delays)].reshape(-1, *signal.shape[1:])
+        return scipy.fft.ifft(columns, self.length, axis=0, norm="forward")[: len(self.delays)].reshape(
+            -1, *signal.shape[1:]
+        )

@@ -13,15 +13,16 @@ import numpy as np
 
 from ..detections import Detections
 from ..errors import ModelError
-from ..signal.algebra import coherence, signal_of
+from ..signal.algebra import coherence
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry, PathTable
 from ..signal.synthesis import white_noise
 from . import report
 from .detect import effective_volume, search_volume, threshold_for
 from .grids import View, directions_in
+from .projector import Projector
 from .refine import Linearization, joint_fit, linearize, separate_fit
-from .search import StagedSearch, distinct
+from .search import Effort, StagedSearch, distinct
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +60,35 @@ class Nomp:
         period = self.model.waveform.max_delay
         longest = period if self.max_delay is None else self.max_delay
         if not 0 <= longest <= period * (1 + 1e-9):
-            raise ModelError(f"Nomp: max_delay {longest:.3e} s must lie between 0 and the unambiguous {period:.3e} s of the pilot spacing")
+            raise ModelError(
+                f"Nomp: max_delay {longest:.3e} s must lie between 0 and the unambiguous {period:.3e} s of the pilot spacing"
+            )
         if not (np.isfinite(self.max_speed) and self.max_speed >= 0):
             raise ModelError(f"Nomp: max_speed must be finite and not negative, got {self.max_speed} m/s")
         object.__setattr__(self, "max_delay", longest)
-        search = StagedSearch.build(self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options)
+        search = StagedSearch.build(
+            self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options
+        )
         object.__setattr__(self, "_search", search)
         arrivals, arrival_angle = directions_in(self.arrival_view, self.model.receiver)
         departures, departure_angle = directions_in(self.departure_view, self.model.transmitter)
-        volume = search_volume(self.model, longest, (-self.max_speed, self.max_speed), arrivals, departures, (arrival_angle, departure_angle))
+        volume = search_volume(
+            self.model,
+            longest,
+            (-self.max_speed, self.max_speed),
+            arrivals,
+            departures,
+            (arrival_angle, departure_angle),
+        )
         object.__setattr__(self, "volume", volume)
         if self.calibration and self.threshold is None:
-            object.__setattr__(self, "volume", effective_volume(self.suprema(self.calibration), self.parameters))
+            object.__setattr__(
+                self, "volume", effective_volume(self.suprema(self.calibration), self.parameters)
+            )
         if self.threshold is None:
-            object.__setattr__(self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters))
+            object.__setattr__(
+                self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters)
+            )
 
     @property
     def parameters(self) -> int:
@@ -82,9 +98,16 @@ class Nomp:
     def suprema(self, count: int, seed: int = 0):
         """Largest statistics (count,) found in noise alone: the material of the calibration."""
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-        return np.array([self._candidates(white_noise(self.model.shape, 1.0, rng), 1.0)[1].max() for _ in range(count)])
+        largest = []
+        for _ in range(count):
+            data = Projector(self.model, white_noise(self.model.shape, 1.0, rng))
+            filtered = self._search.filtered(self.model, data.signal)
+            largest.append(self._candidates(data, filtered, None, 1.0, self._search.full)[1].max())
+        return np.array(largest)
 
-    def run(self, signal, noise_variance: float | None = None, prior: PathTable | Detections | None = None) -> Detections:
+    def run(
+        self, signal, noise_variance: float | None = None, prior: PathTable | Detections | None = None
+    ) -> Detections:
         """Estimate all paths in a received signal (``model.shape``).
 
         Parameters
@@ -98,83 +121,120 @@ class Nomp:
         SignalError
             if the signal does not fit the model or is not finite.
         """
-        data = self.model.whiten(self.model.checked(signal))
-        energy = float(np.vdot(data, data).real)
-        if energy == 0.0:
+        data = Projector(self.model, self.model.whiten(self.model.checked(signal)))
+        noise = Noise(float(np.vdot(data.signal, data.signal).real), data.signal.size, noise_variance)
+        if noise.energy == 0.0:
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
+        filtered = self._search.filtered(self.model, data.signal)
         lin = None
         if prior is not None and len(prior):
             table = prior.table if isinstance(prior, Detections) else prior
-            lin = self._fit(data, table.geometry, energy, noise_variance)
-        while lin is None or len(lin.gain) < self.max_paths:
-            variance = self._variance(lin, energy, noise_variance)
-            residual = data if lin is None else data - signal_of(self.model, self.model.evaluate(lin.geometry), lin.gain)
-            found, statistic = self._candidates(residual, variance)
-            found = self._accepted(found, statistic)
-            if not len(found):
-                break
-            start = found if lin is None else lin.geometry.joined(found)
-            grown = self._eliminated(data, self._fit(data, start, energy, noise_variance), energy, noise_variance, refit=False)
-            # A pass must pay for itself, or the same residual of an imperfect model would be split up for ever.
-            before = 0.0 if lin is None else lin.explained
-            if grown is None or grown.explained - before < self.threshold * variance:
-                break
-            lin = grown
-        lin = None if lin is None else self._eliminated(data, lin, energy, noise_variance, refit=True)
+            lin = self._eliminated(data, self._fit(data, table.geometry, noise), noise)
+        efforts = [self._search.quick, self._search.full]
+        while efforts and (lin is None or len(lin.gain) < self.max_paths):
+            variance = noise.variance(lin)
+            found, statistic = self._candidates(data, filtered, lin, variance, efforts[0])
+            quick = len(efforts) > 1
+            accepted, more = self._accepted(found, statistic, STRONG if quick else 1.0)
+            if len(accepted):
+                start = accepted if lin is None else lin.geometry.joined(accepted)
+                grown = self._eliminated(data, self._fit(data, start, noise), noise)
+                # A pass that ends with no more paths than before would repeat itself for ever.
+                if grown is None or (lin is not None and len(grown.gain) <= len(lin.gain)):
+                    accepted, more = accepted.take([]), False
+                else:
+                    lin = grown
+            if not len(accepted) or (not quick and not more):
+                efforts.pop(0)
+        lin = self._pruned(data, lin, noise)
         if lin is None:
-            return report.empty(self, self._variance(None, energy, noise_variance))
-        variance = self._variance(lin, energy, noise_variance)
-        lin = joint_fit(self.model, data, lin, variance, tolerance=1e-3)
-        return report.detections(self, data, lin, variance)
+            return report.empty(self, noise.variance(None))
+        lin = joint_fit(data, lin, noise.variance(lin), tolerance=1e-3)
+        return report.detections(self, data, lin, noise.variance(lin))
 
-    def _variance(self, lin: Linearization | None, energy: float, known: float | None) -> float:
-        if known is not None:
-            return known
-        paths = 0 if lin is None else len(lin.gain)
-        explained = 0.0 if lin is None else lin.explained
-        return max(energy - explained, 1e-12 * energy) / (np.prod(self.model.shape) - 4 * paths)
+    def _fit(self, data: Projector, start: Geometry, noise: Noise) -> Linearization:
+        lin = linearize(data, start)
+        return joint_fit(data, lin, noise.variance(lin), tolerance=0.5)
 
-    def _fit(self, data, start: Geometry, energy: float, known: float | None) -> Linearization:
-        lin = linearize(self.model, data, start)
-        return joint_fit(self.model, data, lin, self._variance(lin, energy, known), tolerance=0.5)
-
-    def _candidates(self, residual, variance: float) -> tuple[Geometry, np.ndarray]:
-        """Refined candidates in a residual and their statistics, strongest first."""
-        points, _ = self._search.candidates(self.model, residual)
-        points, energies = separate_fit(self.model, residual, points, noise_variance=variance)
+    def _candidates(
+        self, data: Projector, filtered, lin: Linearization | None, variance: float, effort: Effort
+    ):
+        """Refined candidates in what the paths found so far leave, and their statistics, strongest first."""
+        if lin is not None:
+            filtered = self._search.without(self.model, filtered, lin.blocks, lin.gain)
+        points = self._search.candidates(self.model, filtered, effort)
+        points, energies = separate_fit(data, points, lin, noise_variance=variance)
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
 
-    def _accepted(self, found: Geometry, statistic) -> Geometry:
-        strong = statistic > max(self.threshold, statistic[0] * 10 ** (-self.dynamic_range / 10))
-        found, statistic = found.take(strong), statistic[strong]
-        return found.take(distinct(self.model, found, statistic, len(found), limit=0.25)) if len(found) else found
+    def _accepted(self, found: Geometry, statistic, factor: float) -> tuple[Geometry, bool]:
+        """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
+        significant = statistic > self.threshold * factor
+        strong = significant & (statistic > statistic[0] * 10 ** (-self.dynamic_range / 10))
+        taken = found.take(strong)
+        if len(taken):
+            taken = taken.take(distinct(self.model, taken, statistic[strong], len(taken), limit=0.25))
+        hidden = (
+            significant.sum() > len(taken)
+            or significant.all()
+            or (len(statistic) and statistic[0] > STRONG * self.threshold)
+        )
+        return taken, bool(hidden)
 
-    def _eliminated(self, data, lin: Linearization | None, energy: float, known: float | None, refit: bool) -> Linearization | None:
-        """Remove components that are not worth the threshold; with ``refit`` also against a re-optimized model without them."""
+    def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
+        """Remove components, weakest first, that are not worth the threshold."""
         while lin is not None:
-            variance = self._variance(lin, energy, known)
-            worth = lin.drop / variance
+            worth = lin.drop / noise.variance(lin)
             weakest = int(np.argmin(worth))
-            if worth[weakest] < self.threshold:
-                rest = np.delete(np.arange(len(worth)), weakest)
-                lin = self._fit(data, lin.geometry.take(rest), energy, known) if len(rest) else None
-                continue
-            smaller = self._smaller(data, lin, worth, variance) if refit and len(worth) > 1 else None
-            if smaller is None:
+            if worth[weakest] >= self.threshold:
                 return lin
-            lin = smaller
+            rest = np.delete(np.arange(len(worth)), weakest)
+            lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
         return None
 
-    def _smaller(self, data, lin: Linearization, worth, variance: float) -> Linearization | None:
+    def _pruned(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
+        """Backward elimination against re-optimized models: a component's worth at fixed frequencies is not enough for close pairs."""
+        while lin is not None:
+            smaller = self._smaller(data, lin, noise)
+            if smaller is None:
+                return lin
+            lin = self._eliminated(data, smaller, noise)
+        return None
+
+    def _smaller(self, data: Projector, lin: Linearization, noise: Noise) -> Linearization | None:
         """A refitted model with one component less that loses less than the threshold, if there is one."""
-        overlap = coherence(self.model, lin.geometry) - np.eye(len(worth))
+        variance = noise.variance(lin)
+        worth = lin.drop / variance
+        overlap = (coherence(self.model, lin.geometry) - np.eye(len(worth))).max(axis=1, initial=0.0)
         for index in np.argsort(worth):
-            # A distant component's worth cannot be taken over by its neighbors.
-            if overlap[index].max() < 0.1 or worth[index] * (1 - overlap[index].max() ** 2) > 30 * self.threshold:
+            # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
+            if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.threshold:
                 continue
             rest = np.delete(np.arange(len(worth)), index)
-            without = joint_fit(self.model, data, lin.geometry.take(rest), variance, tolerance=0.5)
+            without = joint_fit(data, lin.geometry.take(rest), variance, tolerance=0.5)
             if lin.explained - without.explained < self.threshold * variance:
                 return without
         return None
+
+
+STRONG = 10.0
+"""Early passes take only paths this many times above the threshold; weaker ones need the full search."""
+
+LEAST_NOISE = 1e-9
+"""Noise is never taken to be weaker than this share of the signal: single-precision samples cannot tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Energy and number of samples of a burst, and the noise variance if it is known."""
+
+    energy: float
+    samples: int
+    known: float | None
+
+    def variance(self, lin: Linearization | None) -> float:
+        """Known, or what the paths leave unexplained per degree of freedom (eight real parameters each)."""
+        if self.known is not None:
+            return self.known
+        paths, explained = (0, 0.0) if lin is None else (len(lin.gain), lin.explained)
+        return max(self.energy - explained, LEAST_NOISE * self.energy) / max(self.samples - 4 * paths, 1)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signal.algebra import gram, gram_diagonal, project
+from ..signal.algebra import Blocks, gram, gram_diagonal
 from ..signal.directions import Float
-from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .projector import Projector
 
 LARGEST_STEP = 0.8
 """Longest step of one path in its own metric; the ambiguity function's main lobe ends near 3."""
@@ -28,6 +28,7 @@ class Linearization:
     Attributes
     ----------
     geometry : P paths
+    blocks : their mode vectors and derivatives
     gain : (P,) optimal gains
     gram : (P, 7, P, 7) Gram matrix of signatures and derivatives
     explained : energy explained by the paths, ``b^H G^-1 b``
@@ -35,6 +36,7 @@ class Linearization:
     """
 
     geometry: Geometry
+    blocks: Blocks
     gain: np.typing.NDArray[np.complex128]
     gram: np.typing.NDArray[np.complex128]
     explained: float
@@ -47,16 +49,16 @@ class Linearization:
         return np.abs(self.gain) ** 2 / np.maximum(np.diag(inverse).real, 1e-300)
 
 
-def linearize(model: SignalModel, signal, geometry: Geometry) -> Linearization:
-    """Project a whitened ``signal`` on the paths' signatures and derivatives."""
-    blocks = model.evaluate(geometry)
-    inner = project(model, signal, blocks)
-    matrix = gram(blocks, model.columns)
+def linearize(data: Projector, geometry: Geometry, exact: bool = False) -> Linearization:
+    """Project the data on the paths' signatures and derivatives."""
+    blocks = data.model.evaluate(geometry)
+    inner = data.inner(geometry, blocks, exact)
+    matrix = gram(blocks, data.model.columns)
     plain = matrix[:, 0, :, 0]
     gain = np.linalg.solve(plain + 1e-9 * np.diag(np.diag(plain)), inner[:, 0])
     residual = inner - matrix[:, :, :, 0] @ gain
     gradient = np.real(gain.conj()[:, None] * residual[:, 1:])
-    return Linearization(geometry, gain, matrix, float(np.vdot(inner[:, 0], gain).real), gradient)
+    return Linearization(geometry, blocks, gain, matrix, float(np.vdot(inner[:, 0], gain).real), gradient)
 
 
 def information(lin: Linearization, active) -> Float:
@@ -65,7 +67,9 @@ def information(lin: Linearization, active) -> Float:
     plain = lin.gram[:, 0, :, 0]
     mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
     weight = np.repeat(lin.gain, 6)
-    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(plain, mixed)
+    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(
+        plain, mixed
+    )
     matrix = np.real(weight.conj()[:, None] * full * weight)
     idle = np.tile(~np.asarray(active), paths)
     matrix[idle], matrix[:, idle] = 0.0, 0.0
@@ -85,26 +89,32 @@ def _bounded(step: Float, lengths: Float, limit: float) -> Float:
     return step * np.minimum(1.0, limit / np.maximum(longest, 1e-300))[:, None]
 
 
-def joint_fit(model: SignalModel, signal, start: Geometry | Linearization, noise_variance: float, tolerance: float = 0.02,
-              iterations: int = 30) -> Linearization:
+def joint_fit(
+    data: Projector,
+    start: Geometry | Linearization,
+    noise_variance: float,
+    tolerance: float = 0.02,
+    iterations: int = 30,
+) -> Linearization:
     """Joint Levenberg-Marquardt over all paths until the predicted gain in log-likelihood falls below ``tolerance``."""
-    lin = start if isinstance(start, Linearization) else linearize(model, signal, start)
+    lin = start if isinstance(start, Linearization) else linearize(data, start)
+    active = data.model.active
     damping = 1e-4
     for _ in range(iterations):
         paths = len(lin.gain)
-        lengths = metric(np.moveaxis(np.diagonal(lin.gram, axis1=0, axis2=2), -1, 0), model.active)
-        matrix = information(lin, model.active)
+        lengths = metric(np.moveaxis(np.diagonal(lin.gram, axis1=0, axis2=2), -1, 0), active)
+        matrix = information(lin, active)
         diagonal = np.diag(matrix).copy()
         diagonal[diagonal <= 0] = diagonal.max() if diagonal.max() > 0 else 1.0
         # Scaled to unit diagonal: delays in seconds beside angles would lose every digit otherwise.
         scale = 1 / np.sqrt(diagonal)
         scaled = matrix * np.outer(scale, scale) + damping * np.eye(6 * paths)
-        gradient = lin.gradient.ravel() * np.tile(model.active, paths)
+        gradient = lin.gradient.ravel() * np.tile(active, paths)
         step = scale * np.linalg.solve(scaled, scale * gradient)
         if gradient @ step < tolerance * noise_variance:
             break
         step = _bounded(step.reshape(paths, 6), lengths, LARGEST_STEP)
-        trial = linearize(model, signal, lin.geometry.moved(step))
+        trial = linearize(data, lin.geometry.moved(step))
         # Single-precision projections carry an error of about 1e-7 of the explained energy; it must not veto a good step.
         if trial.explained >= lin.explained * (1 - 1e-6):
             lin, damping = trial, max(damping / 10, 1e-7)
@@ -115,16 +125,31 @@ def joint_fit(model: SignalModel, signal, start: Geometry | Linearization, noise
     return lin
 
 
-def separate_fit(model: SignalModel, signal, geometry: Geometry, iterations: int = 5, tolerance: float = 0.05,
-                 noise_variance: float = 0.0) -> tuple[Geometry, Float]:
-    """Levenberg-Marquardt of P candidates, each alone in ``signal``; returns the geometry and ``|<s, y>|^2 / |s|^2`` (P,)."""
+def separate_fit(
+    data: Projector,
+    geometry: Geometry,
+    background: Linearization | None = None,
+    iterations: int = 5,
+    tolerance: float = 0.05,
+    noise_variance: float = 0.0,
+) -> tuple[Geometry, Float]:
+    """Levenberg-Marquardt of P candidates, each alone in what the ``background`` paths leave of the data.
+
+    Returns the refined geometry and ``|<s, r>|^2 / |s|^2`` (P,).
+    """
+    model = data.model
+    others, gain = (None, None) if background is None else (background.blocks, background.gain)
+
     def assess(geometry: Geometry):
         blocks = model.evaluate(geometry)
-        inner = project(model, signal, blocks)
+        inner = data.inner_residual(geometry, blocks, others, gain)
         own = gram_diagonal(blocks, model.columns)
         norm = np.maximum(own[:, 0, 0].real, 1e-300)
-        gain = inner[:, 0] / norm
-        gradient = np.real(gain.conj()[:, None] * (inner - own[:, :, 0] * gain[:, None])[:, 1:]) * model.active
+        own_gain = inner[:, 0] / norm
+        gradient = (
+            np.real(own_gain.conj()[:, None] * (inner - own[:, :, 0] * own_gain[:, None])[:, 1:])
+            * model.active
+        )
         return np.abs(inner[:, 0]) ** 2 / norm, gradient, metric(own, model.active)
 
     energy, gradient, lengths = assess(geometry)
@@ -139,9 +164,17 @@ def separate_fit(model: SignalModel, signal, geometry: Geometry, iterations: int
         trial = geometry.moved(_bounded(step, lengths, LARGEST_STEP))
         new_energy, new_gradient, new_lengths = assess(trial)
         better = new_energy >= energy
-        geometry = Geometry(*(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in
-                              ((geometry.delay, trial.delay), (geometry.arrival, trial.arrival),
-                               (geometry.departure, trial.departure), (geometry.speed, trial.speed))))
+        geometry = Geometry(
+            *(
+                np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+                for a, b in (
+                    (geometry.delay, trial.delay),
+                    (geometry.arrival, trial.arrival),
+                    (geometry.departure, trial.departure),
+                    (geometry.speed, trial.speed),
+                )
+            )
+        )
         energy = np.where(better, new_energy, energy)
         gradient = np.where(better[:, None], new_gradient, gradient)
         lengths = np.where(better[:, None, None], new_lengths, lengths)

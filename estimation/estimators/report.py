@@ -10,6 +10,7 @@ from ..detections import Detections, Flag
 from ..fisher import path_covariances
 from ..signal.algebra import coherence
 from ..signal.paths import tangent_jacobian
+from .projector import Projector
 from .refine import Linearization, information, linearize
 
 if TYPE_CHECKING:
@@ -19,15 +20,28 @@ if TYPE_CHECKING:
 def empty(estimator: Nomp, noise_variance: float) -> Detections:
     """No path."""
     pair, square = np.empty((0, 2)), np.empty((0, 6, 6))
-    return Detections(np.empty(0), pair, pair, np.empty(0), np.empty(0, complex), square, square, np.empty(0), float(noise_variance),
-                      float(estimator.threshold), estimator.false_alarm_rate, np.empty(0, np.uint8), estimator.model.active)
+    return Detections(
+        np.empty(0),
+        pair,
+        pair,
+        np.empty(0),
+        np.empty(0, complex),
+        square,
+        square,
+        np.empty(0),
+        float(noise_variance),
+        float(estimator.threshold),
+        estimator.false_alarm_rate,
+        np.empty(0, np.uint8),
+        estimator.model.active,
+    )
 
 
-def detections(estimator: Nomp, data, lin: Linearization, noise_variance: float) -> Detections:
+def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
     """Sorted by rho, with delays reduced to the unambiguous range (and the gains solved for there)."""
     model = estimator.model
     geometry = lin.geometry.take(np.argsort(lin.drop)[::-1]).wrapped(model.waveform.max_delay or np.inf)
-    lin = linearize(model, data, geometry)
+    lin = linearize(data, geometry, exact=True)
     snr = lin.drop / noise_variance
     tangent = path_covariances(information(lin, model.active) * 2 / noise_variance, model.active)
     scale = tangent_jacobian(geometry)
@@ -38,12 +52,27 @@ def detections(estimator: Nomp, data, lin: Linearization, noise_variance: float)
     overlap = coherence(model, geometry) - np.eye(len(snr))
     flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
     flags[snr < 1.41 * estimator.threshold] |= np.uint8(Flag.WEAK)
-    inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(geometry.departure)
+    inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(
+        geometry.departure
+    )
     inside &= model.receiver.faces(geometry.arrival) & model.transmitter.faces(geometry.departure)
     inside &= (np.abs(geometry.speed) <= estimator.max_speed) & (geometry.delay <= estimator.max_delay)
     flags[~inside] |= np.uint8(Flag.EDGE_OF_VIEW)
     with np.errstate(invalid="ignore"):
         wide = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:5][:, model.active[1:5]]
     flags[~(np.isfinite(wide).all(axis=1) & (wide < 1.0).all(axis=1))] |= np.uint8(Flag.SINGULAR)
-    return Detections(table.delay, table.aoa, table.aod, table.radial_velocity, table.gain, covariance, tangent, snr, float(noise_variance),
-                      float(estimator.threshold), estimator.false_alarm_rate, flags, model.active)
+    return Detections(
+        table.delay,
+        table.aoa,
+        table.aod,
+        table.radial_velocity,
+        table.gain,
+        covariance,
+        tangent,
+        snr,
+        float(noise_variance),
+        float(estimator.threshold),
+        estimator.false_alarm_rate,
+        flags,
+        model.active,
+    )

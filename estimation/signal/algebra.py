@@ -36,31 +36,41 @@ def project(model: SignalModel, signal: Complex, blocks: Blocks) -> Complex:
 
 
 def _project_band(model: SignalModel, data: Complex, modes: list[Complex], band: Band) -> Complex:
-    paths = len(modes[0])
     first = modes[0].conj().astype(np.complex64)
     partial = first.reshape(-1, first.shape[-1]) @ data.reshape(len(data), -1)
-    partial = partial.reshape(paths, first.shape[1], *data.shape[1:])
+    return project_rest(model, partial.reshape(len(first), first.shape[1], -1), modes, band)
+
+
+def project_rest(model: SignalModel, partial: Complex, modes: list[Complex], band: Band) -> Complex:
+    """Finish a projection (P, 7) whose first mode is contracted already, ``partial`` (P, 2, product of the other modes)."""
+    paths = len(partial)
+    partial = partial.reshape(paths, 2, *(mode.size for mode in band.modes[1:]))
     # Contract the remaining modes from the last to the first, keeping a derivative axis for each.
     for mode in modes[:0:-1]:
         vectors = mode.conj().astype(np.complex64).swapaxes(1, 2)
         lead = (1,) * (partial.ndim - 3)
         partial = np.matmul(partial, vectors.reshape(paths, *lead, *vectors.shape[1:]))
         partial = np.moveaxis(partial, -1, 2)  # (paths, c0, c_last, remaining modes ...)
-    # Axes are now (paths, c0, c1, c2, ...): contraction order reversed twice restores the order of the modes.
     index = tuple(model.columns[row] for row in range(len(modes)))
     return partial.astype(complex)[(slice(None), *index)]
 
 
-def gram(blocks: Blocks, columns: np.typing.NDArray, other: Blocks | None = None) -> Complex:
+def gram(
+    blocks: Blocks,
+    columns: np.typing.NDArray,
+    other: Blocks | None = None,
+    other_columns: np.typing.NDArray | None = None,
+) -> Complex:
     """Gram matrix (P, 7, P', 7) of signatures and derivatives, ``<d_a s_p, d_b s_q>``, a Hadamard product over modes."""
     other = blocks if other is None else other
+    other_columns = columns if other_columns is None else other_columns
     total = 0
     for modes, others in zip(blocks, other, strict=True):
         product = 1
         for row, (left, right) in enumerate(zip(modes, others, strict=True)):
             inner = left.conj().reshape(-1, left.shape[-1]) @ right.reshape(-1, right.shape[-1]).T
             inner = inner.reshape(len(left), -1, len(right), right.shape[1])
-            product = product * inner[:, columns[row]][:, :, :, columns[row]]
+            product = product * inner[:, columns[row]][:, :, :, other_columns[row]]
         total = total + product
     return total
 

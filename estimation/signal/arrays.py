@@ -50,7 +50,9 @@ class Manifold(Protocol):
         """Whether azimuth and elevation can be told at all from the element phases."""
         ...
 
-    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
+    def response(
+        self, directions: Float, tangents: Float | None = None, scale: float = 1.0
+    ) -> tuple[Complex, Complex]:
         """Steering vectors (P, M) and their derivatives (P, 2, M) along the tangents, at ``scale`` times the carrier."""
         ...
 
@@ -78,8 +80,15 @@ class Array:
 
     def __post_init__(self) -> None:
         positions = np.atleast_2d(np.asarray(self.positions, float))
-        if positions.ndim != 2 or positions.shape[1] != 3 or not positions.size or not np.isfinite(positions).all():
-            raise ModelError(f"Array: positions must be finite and of shape (M, 3) in wavelengths, got shape {positions.shape}")
+        if (
+            positions.ndim != 2
+            or positions.shape[1] != 3
+            or not positions.size
+            or not np.isfinite(positions).all()
+        ):
+            raise ModelError(
+                f"Array: positions must be finite and of shape (M, 3) in wavelengths, got shape {positions.shape}"
+            )
         object.__setattr__(self, "positions", positions)
         spread, axes = np.linalg.svd(positions - positions.mean(axis=0), full_matrices=True)[1:]
         rank = int(np.sum(spread > 1e-6))
@@ -116,7 +125,9 @@ class Array:
         """Responses (P, M) towards unit vectors (P, 3), at ``scale`` times the carrier frequency."""
         return self.response(directions, None, scale)[0]
 
-    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
+    def response(
+        self, directions: Float, tangents: Float | None = None, scale: float = 1.0
+    ) -> tuple[Complex, Complex]:
         """Steering vectors (P, M), and their derivatives (P, 2, M) along the tangents (P, 2, 3) if these are given."""
         body = self._to_body(directions)
         phase = np.exp(2j * np.pi * scale * (body @ self.positions.T))
@@ -146,7 +157,9 @@ def ula(count: int, spacing: float = 0.5, **options) -> Array:
 
 def ura(rows: int, columns: int, spacing: float = 0.5, **options) -> Array:
     """Uniform rectangular array in the y-z plane facing +x: ``rows`` along z, ``columns`` along y; element = row * columns + column."""
-    z, y = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij")
+    z, y = np.meshgrid(
+        np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij"
+    )
     return Array(spacing * np.stack([0 * y, y, z], axis=-1).reshape(-1, 3), **options)
 
 

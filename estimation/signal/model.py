@@ -51,12 +51,18 @@ class SignalModel:
 
     def __post_init__(self) -> None:
         schedule = self.schedule
-        for book, array, axis, name in ((schedule.precoders, self.transmitter, 1, "precoders of the transmitter"),
-                                        (schedule.combiners, self.receiver, 1, "combiners of the receiver")):
+        for book, array, axis, name in (
+            (schedule.precoders, self.transmitter, 1, "precoders of the transmitter"),
+            (schedule.combiners, self.receiver, 1, "combiners of the receiver"),
+        ):
             if book is not None and book.shape[axis] != array.elements:
-                raise ModelError(f"SignalModel: the {name} address {book.shape[axis]} elements, the array has {array.elements}")
+                raise ModelError(
+                    f"SignalModel: the {name} address {book.shape[axis]} elements, the array has {array.elements}"
+                )
         if not 1 <= self.subbands <= self.waveform.subcarriers:
-            raise ModelError(f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} subcarriers, got {self.subbands}")
+            raise ModelError(
+                f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} subcarriers, got {self.subbands}"
+            )
         self._whitener  # noqa: B018  a singular combiner must fail here, not in a search
 
     @cached_property
@@ -80,8 +86,14 @@ class SignalModel:
         blocks = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         frequencies = self.waveform.frequencies
         rest = self._other_modes()
-        scales = [1.0] if self.subbands == 1 else [1 + frequencies[b].mean() / self.waveform.carrier for b in blocks]
-        return tuple(Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True))
+        scales = (
+            [1.0]
+            if self.subbands == 1
+            else [1 + frequencies[b].mean() / self.waveform.carrier for b in blocks]
+        )
+        return tuple(
+            Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True)
+        )
 
     @cached_property
     def columns(self) -> np.typing.NDArray[np.intp]:
@@ -95,11 +107,24 @@ class SignalModel:
 
     def _other_modes(self) -> tuple[Mode, ...]:
         schedule = self.schedule
-        swept = {} if schedule.precoders is None else {
-            "transmitter": self.transmitter, "precoders": schedule.precoders, "precoder_index": schedule.precoder_index}
-        combined = {} if schedule.combiners is None else {
-            "receiver": self.receiver, "combiners": self._whitener @ schedule.combiners.conj().swapaxes(1, 2),
-            "combiner_index": schedule.combiner_index}
+        swept = (
+            {}
+            if schedule.precoders is None
+            else {
+                "transmitter": self.transmitter,
+                "precoders": schedule.precoders,
+                "precoder_index": schedule.precoder_index,
+            }
+        )
+        combined = (
+            {}
+            if schedule.combiners is None
+            else {
+                "receiver": self.receiver,
+                "combiners": self._whitener @ schedule.combiners.conj().swapaxes(1, 2),
+                "combiner_index": schedule.combiner_index,
+            }
+        )
         time = TimeMode(schedule.times, self.waveform.wavelength, **swept, **combined)
         receive = () if combined else (ReceiveMode(self.receiver),)
         transmit = () if swept else (TransmitMode(self.transmitter),)
@@ -113,7 +138,9 @@ class SignalModel:
             return None
         gram = combiners.conj().swapaxes(1, 2) @ combiners
         if np.any(np.linalg.cond(gram) > 1e10):
-            raise ModelError("SignalModel: a combining matrix W_n has linearly dependent columns; its noise cannot be whitened")
+            raise ModelError(
+                "SignalModel: a combining matrix W_n has linearly dependent columns; its noise cannot be whitened"
+            )
         return np.linalg.inv(np.linalg.cholesky(gram))
 
     @cached_property
@@ -148,11 +175,15 @@ class SignalModel:
         except (TypeError, ValueError) as error:
             raise SignalError(f"signal: not convertible to complex numbers ({error})") from None
         if signal.shape != self.shape:
-            raise SignalError(f"signal: shape {signal.shape} does not match the model's {self.shape} "
-                              "(subcarriers, symbols, receive ports[, transmit elements])")
+            raise SignalError(
+                f"signal: shape {signal.shape} does not match the model's {self.shape} "
+                "(subcarriers, symbols, receive ports[, transmit elements])"
+            )
         energy = np.vdot(signal, signal).real
         if not np.isfinite(energy):
-            raise SignalError("signal: it contains NaN or infinite samples, or overflows single precision; clean or rescale it")
+            raise SignalError(
+                "signal: it contains NaN or infinite samples, or overflows single precision; clean or rescale it"
+            )
         return signal
 
     def evaluate(self, geometry: Geometry) -> list[list[Complex]]:
@@ -168,7 +199,10 @@ class SignalModel:
     def steps(self) -> Float:
         """(6,) natural scales of the parameters: the reciprocal bandwidth [s], 1 rad over the apertures, wavelength over duration [m/s]."""
         duration = np.ptp(self.schedule.times) or 1.0
-        angle = [1.0 / max(2 * np.ptp(getattr(a, "positions", np.zeros((1, 3))), axis=0).max(), 1.0) for a in (self.receiver, self.transmitter)]
+        angle = [
+            1.0 / max(2 * np.ptp(getattr(a, "positions", np.zeros((1, 3))), axis=0).max(), 1.0)
+            for a in (self.receiver, self.transmitter)
+        ]
         delay = 1.0 / (self.waveform.bandwidth or 1.0)
         return np.array([delay, angle[0], angle[0], angle[1], angle[1], self.waveform.wavelength / duration])
 

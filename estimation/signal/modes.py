@@ -152,7 +152,11 @@ class TimeMode:
             return np.concatenate([timed, rate * timed[:, :1]], axis=1)
         arrival = _block(self.receiver, geometry.arrival, scale)
         ports = np.einsum("smr,pcr->pcsm", self.combiners, arrival)[:, :, self.combiner_index]
-        columns = [timed[:, :1, :, None] * ports, timed[:, 1:, :, None] * ports[:, :1], (rate * timed[:, :1])[..., None] * ports[:, :1]]
+        columns = [
+            timed[:, :1, :, None] * ports,
+            timed[:, 1:, :, None] * ports[:, :1],
+            (rate * timed[:, :1])[..., None] * ports[:, :1],
+        ]
         return np.concatenate(columns, axis=1).reshape(len(geometry), -1, self.size)
 
 

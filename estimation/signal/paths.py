@@ -37,13 +37,20 @@ class PathTable:
 
     def __post_init__(self) -> None:
         delay = np.atleast_1d(np.asarray(self.delay, float))
-        shapes = {"delay": (len(delay),), "aoa": (len(delay), 2), "aod": (len(delay), 2), "radial_velocity": (len(delay),),
-                  "gain": (len(delay),)}
+        shapes = {
+            "delay": (len(delay),),
+            "aoa": (len(delay), 2),
+            "aod": (len(delay), 2),
+            "radial_velocity": (len(delay),),
+            "gain": (len(delay),),
+        }
         for name, shape in shapes.items():
             value = np.asarray(getattr(self, name), complex if name == "gain" else float)
             value = value.reshape(shape) if value.size == np.prod(shape) else value
             if value.shape != shape or not np.isfinite(value).all():
-                raise ModelError(f"PathTable: {name} must be finite and of shape {shape}, got shape {value.shape}")
+                raise ModelError(
+                    f"PathTable: {name} must be finite and of shape {shape}, got shape {value.shape}"
+                )
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -79,8 +86,12 @@ class Geometry:
 
     def moved(self, step: Float) -> Geometry:
         """Displaced by ``step`` (P, 6): delay [s], two arrival and two departure tangents [rad], speed [m/s]."""
-        return Geometry(self.delay + step[:, 0], displaced(self.arrival, step[:, 1:3]), displaced(self.departure, step[:, 3:5]),
-                        self.speed + step[:, 5])
+        return Geometry(
+            self.delay + step[:, 0],
+            displaced(self.arrival, step[:, 1:3]),
+            displaced(self.departure, step[:, 3:5]),
+            self.speed + step[:, 5],
+        )
 
     def take(self, index) -> Geometry:
         """The paths selected by an index array, a mask or a slice."""
@@ -88,7 +99,9 @@ class Geometry:
 
     def joined(self, other: Geometry) -> Geometry:
         """These paths followed by the others."""
-        return Geometry(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
+        return Geometry(
+            *(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
+        )
 
     def wrapped(self, period: float) -> Geometry:
         """Delays reduced to [0, period); gains must be solved for again, since a period may flip their sign."""

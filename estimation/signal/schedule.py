@@ -48,10 +48,14 @@ class Schedule:
                 continue
             book = np.asarray(book, complex)
             if book.ndim != dimensions or not np.isfinite(book).all():
-                raise ModelError(f"Schedule: {name}s must be a finite array of {dimensions} dimensions, got shape {book.shape}")
+                raise ModelError(
+                    f"Schedule: {name}s must be a finite array of {dimensions} dimensions, got shape {book.shape}"
+                )
             index = np.zeros(len(times), int) if index is None and len(book) == 1 else np.asarray(index)
             if index.shape != times.shape or index.min() < 0 or index.max() >= len(book):
-                raise ModelError(f"Schedule: {name}_index must hold one row number below {len(book)} for each of {len(times)} symbols")
+                raise ModelError(
+                    f"Schedule: {name}_index must hold one row number below {len(book)} for each of {len(times)} symbols"
+                )
             object.__setattr__(self, name + "s", book)
             object.__setattr__(self, name + "_index", index)
 
@@ -75,8 +79,10 @@ class Schedule:
         pair = q * len(settings) + s
         uses = np.bincount(pair, minlength=len(beams) * len(settings))
         if np.ptp(uses):
-            raise ModelError("Schedule: a staged search needs every pair of beam and combiner equally often; "
-                             f"here between {uses.min()} and {uses.max()} times")
+            raise ModelError(
+                "Schedule: a staged search needs every pair of beam and combiner equally often; "
+                f"here between {uses.min()} and {uses.max()} times"
+            )
         order = np.lexsort((self.times, pair)).reshape(len(beams), len(settings), uses[0])
         return np.moveaxis(order, 2, 0)
 
@@ -86,8 +92,14 @@ def digital(symbols: int, period: float) -> Schedule:
     return Schedule(period * np.arange(symbols))
 
 
-def sweep(beams: Complex, sweeps: int, period: float, order: str = "permuted", combiners: Complex | None = None,
-          rng: np.random.Generator | None = None) -> Schedule:
+def sweep(
+    beams: Complex,
+    sweeps: int,
+    period: float,
+    order: str = "permuted",
+    combiners: Complex | None = None,
+    rng: np.random.Generator | None = None,
+) -> Schedule:
     """All ``beams`` (Q, N_T), ``sweeps`` times, one symbol each ``period`` [s].
 
     ``order``: ``linear``; ``permuted`` (a fresh random permutation in every sweep, the one without Doppler ambiguity);
@@ -109,8 +121,13 @@ def sweep(beams: Complex, sweeps: int, period: float, order: str = "permuted", c
     else:
         index = np.tile(np.arange(count), sweeps)
     times = period * np.arange(count * sweeps * settings)
-    return Schedule(times, beams, np.repeat(index, settings), combiners,
-                    None if combiners is None else np.tile(np.arange(settings), count * sweeps))
+    return Schedule(
+        times,
+        beams,
+        np.repeat(index, settings),
+        combiners,
+        None if combiners is None else np.tile(np.arange(settings), count * sweeps),
+    )
 
 
 def random_phase_beams(count: int, elements: int, rng: np.random.Generator) -> Complex:
@@ -120,9 +137,11 @@ def random_phase_beams(count: int, elements: int, rng: np.random.Generator) -> C
 
 def dft_beams(rows: int, columns: int) -> Complex:
     """Orthonormal two-dimensional DFT beams (rows * columns, rows * columns) of a :func:`~estimation.ura`."""
+
     def dft(n: int) -> Complex:
         index = np.arange(n) - (n - 1) / 2
         return np.exp(2j * np.pi * np.outer(index, index) / n) / np.sqrt(n)
+
     return np.kron(dft(rows), dft(columns))
 
 

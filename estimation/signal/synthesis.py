@@ -10,8 +10,9 @@ from .model import SignalModel
 from .paths import PathTable
 
 
-def synthesize(model: SignalModel, paths: PathTable, noise_variance: float = 0.0,
-               rng: np.random.Generator | None = None) -> np.typing.NDArray[np.complex64]:
+def synthesize(
+    model: SignalModel, paths: PathTable, noise_variance: float = 0.0, rng: np.random.Generator | None = None
+) -> np.typing.NDArray[np.complex64]:
     """One received burst ``Y`` (``model.shape``), complex64.
 
     Parameters
@@ -31,13 +32,19 @@ def synthesize(model: SignalModel, paths: PathTable, noise_variance: float = 0.0
         raise ModelError(f"synthesize: noise_variance must be finite and not negative, got {noise_variance}")
     if noise_variance > 0 and rng is None:
         raise ModelError("synthesize: noise needs rng=np.random.default_rng(seed)")
-    signal = white_noise(model.shape, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
+    signal = (
+        white_noise(model.shape, noise_variance, rng)
+        if noise_variance > 0
+        else np.zeros(model.shape, np.complex64)
+    )
     if len(paths):
         signal += signal_of(model, model.evaluate(paths.geometry), paths.gain)
     return model.color(signal)
 
 
-def white_noise(shape: tuple[int, ...], variance: float, rng: np.random.Generator) -> np.typing.NDArray[np.complex64]:
+def white_noise(
+    shape: tuple[int, ...], variance: float, rng: np.random.Generator
+) -> np.typing.NDArray[np.complex64]:
     """Circular complex Gaussian noise of the given variance per sample, complex64."""
     parts = rng.standard_normal((*shape[:-1], 2 * shape[-1]), dtype=np.float32)
     parts *= np.float32(np.sqrt(variance / 2))

@@ -30,7 +30,9 @@ class Waveform:
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise ModelError(f"Waveform: carrier must be a positive frequency in Hz, got {self.carrier}")
         if frequencies.ndim != 1 or not len(frequencies) or not np.isfinite(frequencies).all():
-            raise ModelError("Waveform: frequencies must be a finite vector (K,) in Hz relative to the carrier")
+            raise ModelError(
+                "Waveform: frequencies must be a finite vector (K,) in Hz relative to the carrier"
+            )
         if len(frequencies) > 1 and np.min(np.diff(frequencies)) <= 0:
             raise ModelError("Waveform: frequencies must be strictly increasing")
         object.__setattr__(self, "frequencies", frequencies)
