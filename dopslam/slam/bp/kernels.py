@@ -1,0 +1,383 @@
+"""Compiled kernels of the Rao-Blackwellized filter.
+
+Given an agent particle, a feature is Gaussian: its likelihood is a Kalman update with the rows of
+:mod:`dopslam.slam.bp.geometry` linearized at (particle, feature mean). Rows are whitened by the inverse Cholesky factor
+of the measurement's covariance and applied one at a time, so every update is a chain of scalar ones whatever the number
+of rows; a planar problem is a spatial one whose covariances vanish along z. The whitener is lower triangular in the
+order distance, AOA, AOD: its leading block whitens the marginal of distance and AOA, which is what a ``VA`` without AOD
+uses. Forms are the integers of :class:`~dopslam.slam.bp.records.Form`.
+
+Arrays: ``agent`` (N, 6) = position, clock bias [m], cosine and sine of the heading; ``rows`` of (feature, type) pairs
+are CSR lists of measurements: row r owns pairs ``first[r]:first[r + 1]``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dopslam.compiled import compiled
+
+_LOG_2PI = np.log(2 * np.pi)
+LOS, VA, PS, VA_AOD = 0, 1, 2, 3
+
+
+@compiled
+def _tangents(x, y, z, basis):
+    """Azimuth and elevation tangents at a unit vector into basis (2, 3)."""
+    flat = np.sqrt(x * x + y * y)
+    if flat < 1e-9:
+        c, s = 1.0, 0.0
+    else:
+        c, s = x / flat, y / flat
+    basis[0, 0], basis[0, 1], basis[0, 2] = -s, c, 0.0
+    basis[1, 0], basis[1, 1], basis[1, 2] = -z * c, -z * s, flat
+
+
+@compiled
+def linearize(form, count, agent, qx, qy, qz, anchor, distance, aoa, aod, residual, rows, basis):
+    """Residual and gradient with respect to the feature of one (particle, feature, measurement).
+
+    ``aoa`` is in the receiver's frame and turned by the particle's heading here. Fills residual (n,) and rows (n, 3);
+    returns the number of rows used, 1 + count for ``VA``, else 1 + 2·count.
+    """
+    ex, ey, ez = qx - agent[0], qy - agent[1], qz - agent[2]
+    r = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
+    ex, ey, ez = ex / r, ey / r, ez / r
+    nx, ny, nz = qx - anchor[0], qy - anchor[1], qz - anchor[2]
+    reach = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+    nx, ny, nz = nx / reach, ny / reach, nz / reach
+    c, s = agent[4], agent[5]
+    zx, zy, zz = c * aoa[0] - s * aoa[1], s * aoa[0] + c * aoa[1], aoa[2]
+    stretch = np.sqrt(2.0 / max(1.0 + zx * ex + zy * ey + zz * ez, 1e-12))
+    rows[0, 0], rows[0, 1], rows[0, 2] = ex, ey, ez
+    residual[0] = distance - agent[3] - r
+    if form == PS:
+        residual[0] -= reach
+        rows[0, 0] += nx
+        rows[0, 1] += ny
+        rows[0, 2] += nz
+    _tangents(ex, ey, ez, basis)
+    for j in range(count):
+        residual[1 + j] = stretch * (basis[j, 0] * zx + basis[j, 1] * zy + basis[j, 2] * zz)
+        for a in range(3):
+            rows[1 + j, a] = basis[j, a] / r
+    if form == VA:
+        return 1 + count
+    if form == LOS:
+        tx, ty, tz = -ex, -ey, -ez
+    elif form == PS:
+        tx, ty, tz = nx, ny, nz
+    else:
+        en = ex * nx + ey * ny + ez * nz
+        tx, ty, tz = 2 * en * nx - ex, 2 * en * ny - ey, 2 * en * nz - ez
+    stretch = np.sqrt(2.0 / max(1.0 + aod[0] * tx + aod[1] * ty + aod[2] * tz, 1e-12))
+    _tangents(tx, ty, tz, basis)
+    for j in range(count):
+        bx, by, bz = basis[j, 0], basis[j, 1], basis[j, 2]
+        residual[1 + count + j] = stretch * (bx * aod[0] + by * aod[1] + bz * aod[2])
+        row = rows[1 + count + j]
+        if form == PS:
+            row[0], row[1], row[2] = bx / reach, by / reach, bz / reach
+        elif form == VA_AOD:
+            # bᵀ∂t/∂q with t = −e + 2(eᵀn)n: through e and through n, each projected onto its tangent plane.
+            bn = bx * nx + by * ny + bz * nz
+            ux, uy, uz = 2 * bn * nx - bx, 2 * bn * ny - by, 2 * bn * nz - bz
+            ue = ux * ex + uy * ey + uz * ez
+            vx, vy, vz = 2 * (bn * ex + en * bx), 2 * (bn * ey + en * by), 2 * (bn * ez + en * bz)
+            vn = vx * nx + vy * ny + vz * nz
+            row[0] = (ux - ue * ex) / r + (vx - vn * nx) / reach
+            row[1] = (uy - ue * ey) / r + (vy - vn * ny) / reach
+            row[2] = (uz - ue * ez) / r + (vz - vn * nz) / reach
+        else:
+            row[0], row[1], row[2] = 0.0, 0.0, 0.0
+    return 1 + 2 * count
+
+
+@compiled
+def _log_constant(form, count, whitener, scale):
+    """ln of the whitener's leading determinant over (2π)^{n/2} for the rows a form uses."""
+    used = 1 + count if form == VA else 1 + 2 * count
+    value = 0.0
+    for j in range(used):
+        value += np.log(whitener[j, j] * scale) - 0.5 * _LOG_2PI
+    return value
+
+
+@compiled
+def _whiten(whitener, scale, used, residual, rows, white_residual, white_rows):
+    """Whitened residual and rows."""
+    for j in range(used):
+        e, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
+        for i in range(j + 1):
+            w = whitener[j, i] * scale
+            e += w * residual[i]
+            h0 += w * rows[i, 0]
+            h1 += w * rows[i, 1]
+            h2 += w * rows[i, 2]
+        white_residual[j], white_rows[j, 0], white_rows[j, 1], white_rows[j, 2] = e, h0, h1, h2
+
+
+@compiled
+def _update(used, residual, rows, mean, cov):
+    """Scalar Kalman updates with unit noise; changes mean (3,) (an offset) and cov (6: xx xy xz yy yz zz) in place.
+
+    Returns −½(χ² + ln det S).
+    """
+    chi, det = 0.0, 1.0
+    for j in range(used):
+        h0, h1, h2 = rows[j, 0], rows[j, 1], rows[j, 2]
+        v0 = cov[0] * h0 + cov[1] * h1 + cov[2] * h2
+        v1 = cov[1] * h0 + cov[3] * h1 + cov[4] * h2
+        v2 = cov[2] * h0 + cov[4] * h1 + cov[5] * h2
+        s = 1.0 + h0 * v0 + h1 * v1 + h2 * v2
+        e = residual[j] - h0 * mean[0] - h1 * mean[1] - h2 * mean[2]
+        g = e / s
+        mean[0] += v0 * g
+        mean[1] += v1 * g
+        mean[2] += v2 * g
+        i = 1.0 / s
+        cov[0] -= v0 * v0 * i
+        cov[1] -= v0 * v1 * i
+        cov[2] -= v0 * v2 * i
+        cov[3] -= v1 * v1 * i
+        cov[4] -= v1 * v2 * i
+        cov[5] -= v2 * v2 * i
+        chi += e * g
+        det *= s
+    return -0.5 * (chi + np.log(det))
+
+
+@compiled
+def _pack(cov, packed):
+    packed[0], packed[1], packed[2] = cov[0, 0], cov[0, 1], cov[0, 2]
+    packed[3], packed[4], packed[5] = cov[1, 1], cov[1, 2], cov[2, 2]
+
+
+@compiled
+def row_likelihoods(
+    agent, anchor, count, form, mean, cov, log_missed, first, pair, scale, log_weight,
+    distance, aoa, aod, whitener, temper,
+):  # fmt: skip
+    """ln λ_r(i) = ln [missed_r + Σ_m weight_rm N(z_m | particle i, feature r)], (R, N).
+
+    ``temper`` in (0, 1] inflates every measurement covariance by its inverse (guard g2).
+    """
+    rows_total, particles = len(form), len(agent)
+    out = np.empty((rows_total, particles))
+    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
+    white_residual, white_rows = np.empty(5), np.empty((5, 3))
+    packed, cov6, offset = np.empty(6), np.empty(6), np.empty(3)
+    root = np.sqrt(temper)
+    for r in range(rows_total):
+        out[r, :] = log_missed[r]
+        _pack(cov[r], packed)
+        qx, qy, qz = mean[r, 0], mean[r, 1], mean[r, 2]
+        for l in range(first[r], first[r + 1]):
+            m = pair[l]
+            factor = scale[l] * root
+            constant = log_weight[l] + _log_constant(form[r], count, whitener[m], factor)
+            for i in range(particles):
+                used = linearize(
+                    form[r], count, agent[i], qx, qy, qz, anchor, distance[m], aoa[m], aod[m], residual, rows, basis
+                )  # fmt: skip
+                _whiten(whitener[m], factor, used, residual, rows, white_residual, white_rows)
+                cov6[:] = packed
+                offset[:] = 0.0
+                value = _update(used, white_residual, white_rows, offset, cov6)
+                value += constant
+                old = out[r, i]
+                if value > old:
+                    old, value = value, old
+                if value - old > -40.0:
+                    old += np.log1p(np.exp(value - old))
+                out[r, i] = old
+    return out
+
+
+@compiled
+def row_moments(
+    agent, anchor, count, form, mean, cov, log_missed, first, pair, scale, log_weight,
+    distance, aoa, aod, whitener, log_extrinsic, reference,
+):  # fmt: skip
+    """Moment-matched update of every row over particles and associations.
+
+    ``log_extrinsic`` (R, N) is ln of the particles' weights without the message of the row's own feature;
+    ``reference`` (R,) a common log scale that keeps the sums finite.
+
+    Returns
+    -------
+    mass : (R, 1 + longest list) shares of missed and of each pair, relative to exp(reference)
+    new_mean (R, 3), new_cov (R, 3, 3)
+    """
+    rows_total, particles = len(form), len(agent)
+    longest = 0
+    for r in range(rows_total):
+        longest = max(longest, first[r + 1] - first[r])
+    mass = np.zeros((rows_total, 1 + longest))
+    new_mean, new_cov = mean.copy(), cov.copy()
+    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
+    white_residual, white_rows = np.empty(5), np.empty((5, 3))
+    packed, cov6, offset = np.empty(6), np.empty(6), np.empty(3)
+    s1, s2 = np.empty(3), np.empty(6)
+    for r in range(rows_total):
+        _pack(cov[r], packed)
+        qx, qy, qz = mean[r, 0], mean[r, 1], mean[r, 2]
+        s0 = 0.0
+        for i in range(particles):
+            s0 += np.exp(log_extrinsic[r, i] + log_missed[r] - reference[r])
+        mass[r, 0] = s0
+        s1[:] = 0.0
+        for a in range(6):
+            s2[a] = s0 * packed[a]
+        for l in range(first[r], first[r + 1]):
+            m = pair[l]
+            constant = log_weight[l] + _log_constant(form[r], count, whitener[m], scale[l]) - reference[r]
+            for i in range(particles):
+                used = linearize(
+                    form[r], count, agent[i], qx, qy, qz, anchor, distance[m], aoa[m], aod[m], residual, rows, basis
+                )  # fmt: skip
+                _whiten(whitener[m], scale[l], used, residual, rows, white_residual, white_rows)
+                cov6[:] = packed
+                offset[:] = 0.0
+                value = _update(used, white_residual, white_rows, offset, cov6)
+                value += constant + log_extrinsic[r, i]
+                if value > -60.0:
+                    w = np.exp(value)
+                    mass[r, 1 + l - first[r]] += w
+                    s0 += w
+                    for a in range(3):
+                        s1[a] += w * offset[a]
+                    s2[0] += w * (cov6[0] + offset[0] * offset[0])
+                    s2[1] += w * (cov6[1] + offset[0] * offset[1])
+                    s2[2] += w * (cov6[2] + offset[0] * offset[2])
+                    s2[3] += w * (cov6[3] + offset[1] * offset[1])
+                    s2[4] += w * (cov6[4] + offset[1] * offset[2])
+                    s2[5] += w * (cov6[5] + offset[2] * offset[2])
+        if s0 > 1e-290 and form[r] != LOS:
+            o0, o1, o2 = s1[0] / s0, s1[1] / s0, s1[2] / s0
+            new_mean[r, 0] += o0
+            new_mean[r, 1] += o1
+            new_mean[r, 2] += o2
+            new_cov[r, 0, 0] = s2[0] / s0 - o0 * o0
+            new_cov[r, 0, 1] = new_cov[r, 1, 0] = s2[1] / s0 - o0 * o1
+            new_cov[r, 0, 2] = new_cov[r, 2, 0] = s2[2] / s0 - o0 * o2
+            new_cov[r, 1, 1] = s2[3] / s0 - o1 * o1
+            new_cov[r, 1, 2] = new_cov[r, 2, 1] = s2[4] / s0 - o1 * o2
+            new_cov[r, 2, 2] = s2[5] / s0 - o2 * o2
+    return mass, new_mean, new_cov
+
+
+@compiled
+def _cholesky_log_density(s, e, n):
+    """ln N(e; 0, s) of the leading n rows, s is destroyed; −inf if it is not positive."""
+    value = -0.5 * n * _LOG_2PI
+    for j in range(n):
+        d = s[j, j]
+        for k in range(j):
+            d -= s[j, k] * s[j, k]
+        if d <= 0.0:
+            return -np.inf
+        d = np.sqrt(d)
+        s[j, j] = d
+        y = e[j]
+        for k in range(j):
+            y -= s[j, k] * e[k]
+        e[j] = y / d
+        for i in range(j + 1, n):
+            v = s[i, j]
+            for k in range(j):
+                v -= s[i, k] * s[j, k]
+            s[i, j] = v / d
+        value -= 0.5 * e[j] * e[j] + np.log(d)
+    return value
+
+
+@compiled
+def gaussian_evidence(agent, weight, anchor, count, form, mean, cov, distance, aoa, aod, covariance, scale):
+    """Data association evidence ln N(z_m; predicted moments of row r), (R, M) (guard g1).
+
+    The predicted measurement's moments are taken over the weighted particles and the feature's Gaussian, in the chord
+    coordinates at the mean particle's prediction. Unlike a Monte Carlo average of sharp likelihoods this never
+    vanishes when no particle falls into a measurement's support. ``scale`` (R, M) multiplies 1/σ.
+    """
+    rows_total, particles, measurements = len(form), len(agent), len(distance)
+    out = np.empty((rows_total, measurements))
+    n = 1 + 2 * count
+    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
+    y, h = np.empty(5), np.empty(3)
+    s, e = np.empty((5, 5)), np.empty(5)
+    center = np.empty(6)
+    reference_a, reference_t = np.empty(3), np.empty(3)
+    for a in range(6):
+        center[a] = 0.0
+        for i in range(particles):
+            center[a] += weight[i] * agent[i, a]
+    norm = np.sqrt(center[4] ** 2 + center[5] ** 2) + 1e-12
+    center[4] /= norm
+    center[5] /= norm
+    for r in range(rows_total):
+        qx, qy, qz = mean[r, 0], mean[r, 1], mean[r, 2]
+        _directions(form[r], center, qx, qy, qz, anchor, reference_a, reference_t)
+        predicted, spread = np.zeros(5), np.zeros((5, 5))
+        for i in range(particles):
+            # The reference direction plays the measurement: its residual is minus the particle's offset from it.
+            used = linearize(
+                form[r], count, agent[i], qx, qy, qz, anchor, 0.0, reference_a, reference_t, residual, rows, basis
+            )  # fmt: skip
+            for j in range(used):
+                y[j] = -residual[j]
+                for a in range(3):
+                    h[a] = rows[j, 0] * cov[r, 0, a] + rows[j, 1] * cov[r, 1, a] + rows[j, 2] * cov[r, 2, a]
+                predicted[j] += weight[i] * y[j]
+                for k in range(j + 1):
+                    mapped = h[0] * rows[k, 0] + h[1] * rows[k, 1] + h[2] * rows[k, 2]
+                    spread[j, k] += weight[i] * (y[j] * y[k] + mapped)
+        used = 1 + count if form[r] == VA else n
+        for j in range(used):
+            for k in range(j + 1):
+                spread[j, k] -= predicted[j] * predicted[k]
+        for m in range(measurements):
+            # A feature at the origin of the mean particle's frame would do; only the directions are compared.
+            _chord_to(reference_a, aoa[m], count, e, 1, basis)
+            if used > 1 + count:
+                _chord_to(reference_t, aod[m], count, e, 1 + count, basis)
+            e[0] = distance[m] - predicted[0]
+            for j in range(1, used):
+                e[j] -= predicted[j]
+            inverse = 1.0 / (scale[r, m] * scale[r, m])
+            for j in range(used):
+                for k in range(j + 1):
+                    s[j, k] = spread[j, k] + covariance[m, j, k] * inverse
+            out[r, m] = _cholesky_log_density(s, e, used)
+    return out
+
+
+@compiled
+def _chord_to(reference, measured, count, out, start, basis):
+    dot = reference[0] * measured[0] + reference[1] * measured[1] + reference[2] * measured[2]
+    stretch = np.sqrt(2.0 / max(1.0 + dot, 1e-12))
+    _tangents(reference[0], reference[1], reference[2], basis)
+    for j in range(count):
+        out[start + j] = stretch * (
+            basis[j, 0] * measured[0] + basis[j, 1] * measured[1] + basis[j, 2] * measured[2]
+        )
+
+
+@compiled
+def _directions(form, agent, qx, qy, qz, anchor, arrival, departure):
+    """Arrival in the receiver's frame and departure in the world frame of one feature."""
+    ex, ey, ez = qx - agent[0], qy - agent[1], qz - agent[2]
+    r = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
+    ex, ey, ez = ex / r, ey / r, ez / r
+    nx, ny, nz = qx - anchor[0], qy - anchor[1], qz - anchor[2]
+    reach = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+    nx, ny, nz = nx / reach, ny / reach, nz / reach
+    c, s = agent[4], agent[5]
+    arrival[0], arrival[1], arrival[2] = c * ex + s * ey, -s * ex + c * ey, ez
+    if form == LOS:
+        departure[0], departure[1], departure[2] = -ex, -ey, -ez
+    elif form == PS:
+        departure[0], departure[1], departure[2] = nx, ny, nz
+    else:
+        en = ex * nx + ey * ny + ez * nz
+        departure[0], departure[1], departure[2] = 2 * en * nx - ex, 2 * en * ny - ey, 2 * en * nz - ez
