@@ -98,6 +98,9 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         mi.set_file_resolver(resolver)
         # Merging shapes, the default, would destroy the names of the walls.
         scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
+        for material in scene.radio_materials.values():
+            if not hasattr(material, "frequency_update"):  # absorbers lack it in Sionna 2.2, and the next line calls it
+                material.frequency_update = lambda: None
         scene.frequency = carrier_frequency
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         raise SceneError(f"{file}: the ray tracer refuses it ({_one_line(error)})") from error

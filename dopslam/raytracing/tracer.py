@@ -6,7 +6,8 @@ again in float64 by the image method from the planes that a path touched, and ch
 
 Scatter points are a sensing target of Sionna's radar solver: one speck below the scene that carries all points with unit
 cross-section, scaled here by √σ e^{jψ}. The receivers are traced in chunks of at most 2000: with more in one call, hash
-collisions drop paths silently, as they do with the default size of the hash table.
+collisions drop paths silently, as they do with the default size of the hash table. The deterministic solver is used, whose
+results repeat bit for bit and do not depend on the chunks; it is the one that needs memory for every ray and receiver.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from dopslam.raytracing.surfaces import check_positions
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths
 
 MAX_CHUNK = 2000
-HASH_TABLE_SIZE = 5_000_000  # Sionna's 1e6 loses paths to collisions
+HASH_TABLE_SIZE = 7_999_993  # a prime; Sionna's 1e6 loses paths to collisions
+LANES_PER_CALL = 8_000_000  # reflections × rays × receivers of one call; 30 bytes each in memory
 PAIRS_PER_CALL = 20_000_000  # the radar solver pairs (points) × (points × receivers) legs in memory
 SPECULAR = 1
 JONES = {"V": (1.0, 0.0), "H": (0.0, 1.0), "+45": (np.sqrt(0.5), np.sqrt(0.5)), "-45": (np.sqrt(0.5), -np.sqrt(0.5))}
@@ -43,7 +45,7 @@ class TraceSettings:
     samples : rays launched from the base station to find candidate walls; a wall is missed only if no ray hits it
     refraction : whether paths may pass through walls (outdoors rarely wanted: it multiplies the paths)
     seed : of the rays' sampling
-    chunk : receivers per call of the tracer, at most 2000
+    chunk : receivers per call of the tracer at most, up to 2000; many rays or reflections make it smaller
     polarization : of the isotropic antennas (base station, receiver), each ``"V"``, ``"H"``, ``"+45"`` or ``"-45"``
     """
 
@@ -51,14 +53,19 @@ class TraceSettings:
     samples: int = 200_000
     refraction: bool = False
     seed: int = 1
-    chunk: int = 1000
+    chunk: int = 500
     polarization: tuple[str, str] = ("V", "V")
+
+    @property
+    def receivers_per_call(self) -> int:
+        """Receivers per call of the tracer, so that memory stays bounded."""
+        return min(self.chunk, max(1, LANES_PER_CALL // (self.samples * max(self.max_depth, 1))))
 
     def __post_init__(self):
         if not 0 <= self.max_depth <= 8:
             raise SceneError(f"max_depth is {self.max_depth}; give a number of reflections from 0 to 8")
-        if not 1 <= self.samples <= 50_000_000:
-            raise SceneError(f"samples is {self.samples}; give a number of rays from 1 to 5e7")
+        if not 1 <= self.samples <= 10_000_000:
+            raise SceneError(f"samples is {self.samples}; give a number of rays from 1 to 1e7")
         if not 1 <= self.chunk <= MAX_CHUNK:
             raise SceneError(f"chunk is {self.chunk}; give 1 to {MAX_CHUNK}: larger ones lose paths silently")
         for end in self.polarization:
@@ -175,7 +182,7 @@ class Tracer:
         # The constant is read when a solver runs; larger is right for everyone, so it stays.
         generator = rt.path_solvers.sb_candidate_generator.SBCandidateGenerator
         generator.MIN_SPEC_COUNT_SIZE = max(generator.MIN_SPEC_COUNT_SIZE, HASH_TABLE_SIZE)
-        self._solver = rt.PathSolver()
+        self._solver = rt.PathSolver(deterministic=True)
 
     def _add_points(self) -> None:
         """One millimeter-sized target below everything, so that it hides nothing, carries all the points."""
@@ -193,7 +200,7 @@ class Tracer:
         self.scene.add(
             rcs.SensingTarget(name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size)
         )
-        self._radar = rcs.RCSSolver()
+        self._radar = rcs.RCSSolver(deterministic=True)
 
     def chunks(self, receivers: np.ndarray, velocities: np.ndarray | None = None) -> Iterator[Traced]:
         """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk after chunk; memory does not grow with K.
@@ -209,7 +216,8 @@ class Tracer:
             raise SceneError("no receiver positions to trace; give at least one")
         check_positions(self.surfaces, {"the receiver at step": receivers, **self._fixed})
         # Equal chunks: another number of receivers would compile another kernel.
-        size = -(-count // -(-count // self.settings.chunk))
+        limit = min(self.settings.receivers_per_call, max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2))
+        size = -(-count // -(-count // limit))
         for start in range(0, count, size):
             rows = slice(start, min(start + size, count))
             yield self._chunk(receivers[rows], velocities[rows], size)
@@ -252,12 +260,12 @@ class Tracer:
             max_num_paths_per_src=max(1_000_000, 50 * len(self.scene.receivers)),
         )  # fmt: skip
         receiver, where = _valid(paths)
-        interactions = paths.interactions.numpy()[(slice(None), *where)].T  # (N, D)
+        specular = paths.interactions.numpy()[(slice(None), *where)].T == SPECULAR  # (N, D)
         objects, primitives = (t.numpy()[(slice(None), *where)].T for t in (paths.objects, paths.primitives))
-        specular = interactions == SPECULAR
-        owner = self._object_of[np.where(specular, objects, 0).astype(np.intp)]
-        triangle = self.surfaces.first_triangle[owner] + np.where(specular, primitives, 0).astype(np.intp)
-        planes = np.where(specular, self.surfaces.triangle_plane[np.minimum(triangle, len(self.surfaces.triangles) - 1)], -1)
+        planes = np.full(specular.shape, -1)
+        owner = self._object_of[objects[specular].astype(np.intp)]
+        triangle = self.surfaces.first_triangle[owner] + primitives[specular].astype(np.intp)
+        planes[specular] = self.surfaces.triangle_plane[triangle]
         # Passing through a wall leaves no mark on the geometry: move the reflections to the front.
         planes = np.take_along_axis(planes, np.argsort(~specular, axis=1, kind="stable"), axis=1)
         point = np.full(len(receiver), -1)

@@ -127,7 +127,7 @@ def test_no_path_is_lost_in_the_street_canyon(expected_paths):
 
 def _check_complete(tracer, receivers, depth, expected_paths):
     expected = expected_paths(tracer.surfaces, tracer.bs_position, receivers, depth)
-    traced = next(tracer.chunks(receivers))
+    traced = join(list(tracer.chunks(receivers)))
     names = {
         (row, "BS" if not planes else tracer.naming.name(tracer.naming.canonical(planes))) for row, planes in expected
     }
@@ -167,9 +167,9 @@ def test_chunks_with_different_anchors_join(ring_xml, ring_track):
     tracer = Tracer(SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, settings)
     receivers = np.array([[-80.0, 60, 1], [80, 80, 1], [0, 0, 1], [10, -90, 1], [50, 50, 1], [-50, -90, 40]])
     joined = join(list(tracer.chunks(receivers)))
-    whole = next(
-        Tracer(SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, TraceSettings(max_depth=2)).chunks(receivers)
-    )
+    (whole,) = Tracer(
+        SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, TraceSettings(max_depth=2)
+    ).chunks(receivers)
     assert same(joined.landmarks, whole.landmarks) and same(joined.paths, whole.paths)
 
 
@@ -177,7 +177,7 @@ def test_polarizations_come_from_one_transfer(ring_xml, ring_track):
     traced = {}
     for pair in (("V", "V"), ("H", "H"), ("V", "H"), ("+45", "-45")):
         tracer = Tracer(SceneSource(ring_xml), CARRIER, BS, None, TraceSettings(polarization=pair))
-        traced[pair] = next(tracer.chunks(*ring_track))
+        (traced[pair],) = tracer.chunks(*ring_track)
     transfer = traced["V", "V"].transfer
     np.testing.assert_array_equal(traced["V", "V"].paths.a, transfer[:, 0, 0])
     np.testing.assert_array_equal(traced["H", "H"].paths.a, transfer[:, 1, 1])
