@@ -1,9 +1,10 @@
-"""Propagation paths by the image method, in float64: planes, mirror images, path lengths, directions, Doppler.
+"""Propagation paths by the image method, in float64: planes, mirror images, path lengths, directions,
+Doppler.
 
-Planes are pairs ``normal`` (unit, 3) and ``offset`` [m] with ``normal · x = offset``. A path that is reflected at a
-sequence of planes has the length and the arrival direction of the straight line from the *virtual anchor*, the source
-mirrored at the planes one after the other (paper A, Section II). Everything broadcasts over paths. World frame
-right-handed, z up; SI units.
+Planes are pairs ``normal`` (unit, 3) and ``offset`` [m] with ``normal · x = offset``. A path that is
+reflected at a sequence of planes has the length and the arrival direction of the straight line from the
+*virtual anchor*, the source mirrored at the planes one after the other (paper A, Section II). Everything
+broadcasts over paths. World frame right-handed, z up; SI units.
 
 The closed forms for a single wall and for a scatter point are eqs. (4) to (12) of paper A; the Doppler is
 d = vᵀq with q from the receiver to the last interaction, positive when approaching.
@@ -41,7 +42,9 @@ class PathGeometry:
         return self.length / SPEED_OF_LIGHT
 
     def radial_velocity(self, velocity: np.ndarray) -> np.ndarray:
-        """(N,) m/s, vᵀq of receivers that move with ``velocity`` (N, 3); the source and the scene stand still."""
+        """(N,) m/s, vᵀq of receivers that move with ``velocity`` (N, 3); the source and the scene stand
+        still.
+        """
         return np.sum(np.asarray(velocity, dtype=float) * self.arrival, axis=-1)
 
 
@@ -62,7 +65,8 @@ def mirror_images(source: np.ndarray, normals: np.ndarray, offsets: np.ndarray) 
 
     Returns
     -------
-    (…, D + 1, 3) m: the source, then its image after 1, 2 … D reflections; the last one is the virtual anchor.
+    (…, D + 1, 3) m: the source, then its image after 1, 2 … D reflections; the last one is the virtual
+    anchor.
     """
     normals, offsets = np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float)
     depth = offsets.shape[-1]
@@ -75,11 +79,13 @@ def mirror_images(source: np.ndarray, normals: np.ndarray, offsets: np.ndarray) 
 def isometry(normals: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Composite map x → Mx + t of successive reflections at planes ``normals`` (D, 3), ``offsets`` (D,) [m].
 
-    Two sequences with the same map are the same virtual anchor for every source and every receiver, for instance both
-    orders at a right-angled corner.
+    Two sequences with the same map are the same virtual anchor for every source and every receiver, for
+    instance both orders at a right-angled corner.
     """
     matrix, translation = np.eye(3), np.zeros(3)
-    for normal, offset in zip(np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float), strict=True):
+    for normal, offset in zip(
+        np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float), strict=True
+    ):
         householder = np.eye(3) - 2.0 * np.outer(normal, normal)
         matrix, translation = householder @ matrix, householder @ translation + 2.0 * offset * normal
     return matrix, translation
@@ -95,8 +101,8 @@ def reflected_paths(
 ) -> PathGeometry:
     """Specular paths from one source to N receivers over given planes (D = 0: line of sight).
 
-    The incidence points follow from the receiver backwards: the straight line from the current point to the image of
-    order i cuts plane i. Whether the points lie on the walls and are visible is not asked here.
+    The incidence points follow from the receiver backwards: the straight line from the current point to the
+    image of order i cuts plane i. Whether the points lie on the walls and are visible is not asked here.
 
     Parameters
     ----------
@@ -121,11 +127,13 @@ def reflected_paths(
     for i in reversed(range(depth)):
         line = images[:, i + 1] - point
         with np.errstate(divide="ignore", invalid="ignore"):
-            fraction = (offsets[:, i] - np.sum(normals[:, i] * point, axis=-1)) / np.sum(normals[:, i] * line, axis=-1)
+            fraction = (offsets[:, i] - np.sum(normals[:, i] * point, axis=-1)) / np.sum(
+                normals[:, i] * line, axis=-1
+            )
             point = point + fraction[:, None] * line
         vertices[:, i] = point
-    # The departure direction is the arrival line unfolded the other way, by the reflections in reverse order; this
-    # keeps full precision where the source stands close to a wall.
+    # The departure direction is the arrival line unfolded the other way, by the reflections in reverse order;
+    # this keeps full precision where the source stands close to a wall.
     departure = -arrival
     for i in reversed(range(depth)):
         departure = departure - 2.0 * np.sum(departure * normals[:, i], axis=-1)[:, None] * normals[:, i]
@@ -133,7 +141,9 @@ def reflected_paths(
 
 
 def scattered_paths(source: np.ndarray, receivers: np.ndarray, points: np.ndarray) -> PathGeometry:
-    """Paths from one source (3,) over scatter points (N, 3) or (3,) to receivers (N, 3) [m] (paper A, eqs. 5, 8, 11)."""
+    """Paths from one source (3,) over scatter points (N, 3) or (3,) to receivers (N, 3) [m] (paper A, eqs. 5,
+    8, 11).
+    """
     receivers = np.asarray(receivers, dtype=float)
     points = np.broadcast_to(np.asarray(points, dtype=float), receivers.shape)
     departure, first = _unit(points - np.asarray(source, dtype=float))
@@ -181,12 +191,16 @@ def distance_to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarr
 
 
 def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Winding number (N,) of a triangle mesh (T, 3, 3) around points (N, 3): ±1 inside a closed mesh, 0 outside.
+    """Winding number (N,) of a triangle mesh (T, 3, 3) around points (N, 3): ±1 inside a closed mesh, 0
+    outside.
 
-    Sum of signed solid angles over 4π (Van Oosterom and Strackee, 1983). Unlike ray parity it has no special cases at
-    edges, and a mesh with one flat face missing still gives more than ½ exactly on the inner side of that face.
+    Sum of signed solid angles over 4π (Van Oosterom and Strackee, 1983). Unlike ray parity it has no special
+    cases at edges, and a mesh with one flat face missing still gives more than ½ exactly on the inner side of
+    that face.
     """
-    a, b, c = np.moveaxis(np.asarray(triangles, dtype=float)[None] - np.asarray(points)[:, None, None, :], 2, 0)
+    a, b, c = np.moveaxis(
+        np.asarray(triangles, dtype=float)[None] - np.asarray(points)[:, None, None, :], 2, 0
+    )
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     numerator = np.sum(a * np.cross(b, c), axis=-1)
     denominator = (

@@ -1,10 +1,10 @@
 """Finds an LLVM library that works, before anything imports Dr.Jit, Mitsuba or Sionna.
 
-Dr.Jit compiles its CPU kernels with a shared libLLVM that it looks for at run time: ``DRJIT_LIBLLVM_PATH``, then
-``libLLVM.so``, then the highest version in the system's library folder; never in a virtual environment. LLVM 14 is
-rejected with a misleading message, 15 and 16 abort the process at the first traced path. :func:`prepare` therefore looks
-by itself, asks each candidate for its version in a process of its own (loading a wrong libLLVM here could make Dr.Jit
-use it, or bring this process down), and sets the variable.
+Dr.Jit compiles its CPU kernels with a shared libLLVM that it looks for at run time: ``DRJIT_LIBLLVM_PATH``,
+then ``libLLVM.so``, then the highest version in the system's library folder; never in a virtual environment.
+LLVM 14 is rejected with a misleading message, 15 and 16 abort the process at the first traced path.
+:func:`prepare` therefore looks by itself, asks each candidate for its version in a process of its own
+(loading a wrong libLLVM here could make Dr.Jit use it, or bring this process down), and sets the variable.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One libLLVM on this machine: where it is, why it was looked at, and its version (empty if it cannot tell)."""
+    """One libLLVM on this machine: where it is, why it was looked at, and its version (empty if it cannot
+    tell).
+    """
 
     path: Path
     origin: str
@@ -55,7 +57,13 @@ def _folders() -> list[tuple[str, Path]]:
     folders.append(("base python", Path(sys.base_prefix) / "lib"))
     folders += [
         ("system", Path(text))
-        for text in (f"/usr/lib/{machine}-linux-gnu", "/usr/lib64", "/usr/lib", "/usr/local/lib", "/opt/homebrew/opt/llvm/lib")
+        for text in (
+            f"/usr/lib/{machine}-linux-gnu",
+            "/usr/lib64",
+            "/usr/lib",
+            "/usr/local/lib",
+            "/opt/homebrew/opt/llvm/lib",
+        )
     ]
     return folders + [("system", path) for path in sorted(Path("/usr/lib").glob("llvm-*/lib"), reverse=True)]
 
@@ -80,7 +88,9 @@ def _located() -> list[tuple[str, Path]]:
 
 @cache
 def version_of(path: Path) -> tuple[int, ...]:
-    """(major, minor, patch) of a libLLVM, asked in a subprocess; () if it is missing, damaged or older than 16."""
+    """(major, minor, patch) of a libLLVM, asked in a subprocess; () if it is missing, damaged or older than
+    16.
+    """
     try:
         answer = subprocess.run(
             [sys.executable, "-I", "-S", "-c", _ASK_VERSION, str(path)],
@@ -101,7 +111,9 @@ def cuda_devices() -> int:
     try:
         driver = ctypes.CDLL("libcuda.so.1" if sys.platform != "win32" else "nvcuda.dll")
         count = ctypes.c_int()
-        return count.value if driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 else 0
+        return (
+            count.value if driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 else 0
+        )
     except (OSError, AttributeError):
         return 0
 
@@ -139,7 +151,9 @@ def prepare() -> Path | None:
     if cuda_devices():
         return None
     found = "; ".join(
-        f"{c.path} is " + (f"version {'.'.join(map(str, c.version))}" if c.version else "not loadable or older than 16") for c in seen
+        f"{c.path} is "
+        + (f"version {'.'.join(map(str, c.version))}" if c.version else "not loadable or older than 16")
+        for c in seen
     )
     raise LLVMError(
         f"The ray tracer needs LLVM {MINIMUM_VERSION} or newer, or a CUDA device, and found "

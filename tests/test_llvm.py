@@ -28,7 +28,9 @@ def machine(tmp_path, monkeypatch):
 
 
 def test_newest_that_works_is_taken(machine):
-    folder = machine({"libLLVM-14.so.1": (14, 0, 6), "libLLVM.so.19.1": (19, 1, 7), "libLLVM-17.so": (17, 0, 1)})
+    folder = machine(
+        {"libLLVM-14.so.1": (14, 0, 6), "libLLVM.so.19.1": (19, 1, 7), "libLLVM-17.so": (17, 0, 1)}
+    )
     assert llvm.prepare() == folder / "libLLVM.so.19.1"
     assert os.environ[llvm.VARIABLE] == str(folder / "libLLVM.so.19.1")
 
@@ -36,14 +38,16 @@ def test_newest_that_works_is_taken(machine):
 @pytest.mark.parametrize("version", [(14, 0, 6), (15, 0, 6), (16, 0, 0), ()])
 def test_versions_that_crash_are_refused(machine, version):
     machine({"libLLVM-15.so": version})
-    with pytest.raises(LLVMError, match=r"17 or newer.*libLLVM-15.so is (version|not loadable).*libllvm19|install LLVM"):
+    with pytest.raises(
+        LLVMError, match=r"17 or newer.*libLLVM-15.so is (version|not loadable).*libllvm19|install LLVM"
+    ):
         llvm.prepare()
     assert not os.environ[llvm.VARIABLE]
 
 
 def test_nothing_found_names_the_remedy(machine):
     machine({})
-    with pytest.raises(LLVMError, match="no libLLVM at all.*install"):
+    with pytest.raises(LLVMError, match=r"no libLLVM at all.*install"):
         llvm.prepare()
 
 
@@ -85,9 +89,10 @@ def test_symbolic_links_are_one_candidate(tmp_path, monkeypatch):
 def test_looking_does_not_load_anything_here():
     """A wrong libLLVM loaded into this process could be taken by Dr.Jit, or abort it."""
     code = (
-        "from dopslam import llvm; llvm.candidates();"
-        "assert 'libLLVM' not in open('/proc/self/maps').read()"
+        "from dopslam import llvm; llvm.candidates();assert 'libLLVM' not in open('/proc/self/maps').read()"
     )
     if not Path("/proc/self/maps").exists():
         pytest.skip("needs /proc")
-    subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)))
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
+    )

@@ -1,13 +1,16 @@
 """The ray tracer: scene and positions in, ground-truth landmarks and propagation paths out.
 
-The only room that imports Sionna and Mitsuba, and only when something is traced: importing this module is cheap.
+The only room that imports Sionna and Mitsuba, and only when something is traced: importing this module is
+cheap.
 """
 
 from dopslam.raytracing.scene import LoadedScene, SceneSource, builtin_scenes, load_scene
+from dopslam.raytracing.settings import ScatterPoints, TraceSettings
 from dopslam.raytracing.surfaces import Surfaces, floor_plan
-from dopslam.raytracing.tracer import ScatterPoints, Traced, Tracer, TraceSettings, join, trace
+from dopslam.raytracing.traced import Traced, join
+from dopslam.raytracing.tracer import Tracer, trace
 
 __all__ = [
-    "LoadedScene", "ScatterPoints", "SceneSource", "Surfaces", "TraceSettings", "Traced", "Tracer", "builtin_scenes",
-    "floor_plan", "join", "load_scene", "trace",
+    "LoadedScene", "ScatterPoints", "SceneSource", "Surfaces", "TraceSettings", "Traced", "Tracer",
+    "builtin_scenes", "floor_plan", "join", "load_scene", "trace",
 ]  # fmt: skip

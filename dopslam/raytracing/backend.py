@@ -12,7 +12,8 @@ from dopslam.errors import LLVMError
 
 @cache
 def backend() -> tuple[ModuleType, ModuleType]:
-    """The modules ``(sionna.rt, mitsuba)``, ready to trace: on a CUDA device if there is one, else on the CPU.
+    """The modules ``(sionna.rt, mitsuba)``, ready to trace: on a CUDA device if there is one, else on the
+    CPU.
 
     Raises
     ------
@@ -27,4 +28,6 @@ def backend() -> tuple[ModuleType, ModuleType]:
             mitsuba.set_variant(*(["cuda_ad_mono_polarized"] if gpu else []), "llvm_ad_mono_polarized")
         return importlib.import_module("sionna.rt"), mitsuba
     except ImportError as error:
-        raise LLVMError(f"The ray tracer cannot be imported ({error}): {llvm.remedy()}; see `dopslam doctor`") from error
+        raise LLVMError(
+            f"The ray tracer cannot be imported ({error}): {llvm.remedy()}; see `dopslam doctor`"
+        ) from error

@@ -1,8 +1,10 @@
-"""Which landmark every traced path belongs to: the base station, a virtual anchor by its walls, a scatter point.
+"""Which landmark every traced path belongs to: the base station, a virtual anchor by its walls, a scatter
+point.
 
-A virtual anchor is named by the planes in the order in which the path leaves the base station, ``VA a > b``. Orders with the
-same composite reflection, as both ways around a right-angled corner, are the same anchor for every receiver and share
-the alphabetically first name; so do names, order and positions not depend on which paths happened to be found.
+A virtual anchor is named by the planes in the order in which the path leaves the base station, ``VA a > b``.
+Orders with the same composite reflection, as both ways around a right-angled corner, are the same anchor for
+every receiver and share the alphabetically first name; so do names, order and positions not depend on which
+paths happened to be found.
 """
 
 from __future__ import annotations
@@ -27,14 +29,16 @@ class Naming:
         self.canonical = lru_cache(maxsize=None)(self._canonical)
 
     def _canonical(self, sequence: tuple[int, ...]) -> tuple[int, ...]:
-        """Of all orders of the same planes with the same composite reflection the one whose names come first."""
+        """Of all orders of the planes with the same composite reflection the one whose names come first."""
         normals, offsets = self.surfaces.plane_normal, self.surfaces.plane_offset
         matrix, translation = isometry(normals[list(sequence)], offsets[list(sequence)])
         scale = max(1.0, float(np.abs(translation).max()))
 
         def same(order: tuple[int, ...]) -> bool:
             other, shift = isometry(normals[list(order)], offsets[list(order)])
-            return np.allclose(other, matrix, atol=SAME_PLACE) and np.allclose(shift, translation, atol=SAME_PLACE * scale)
+            return np.allclose(other, matrix, atol=SAME_PLACE) and np.allclose(
+                shift, translation, atol=SAME_PLACE * scale
+            )
 
         orders = {order for order in permutations(sequence) if order == sequence or same(order)}
         return min(orders, key=lambda order: [self.surfaces.plane_name[p] for p in order])
@@ -56,7 +60,8 @@ def landmarks_of(
     """
     ordered = sorted(sequences - {()}, key=lambda sequence: (len(sequence), naming.name(sequence)))
     anchors = [
-        mirror_images(bs_position, surfaces.plane_normal[list(s)], surfaces.plane_offset[list(s)])[-1] for s in ordered
+        mirror_images(bs_position, surfaces.plane_normal[list(s)], surfaces.plane_offset[list(s)])[-1]
+        for s in ordered
     ]
     names = ["BS", *(naming.name(sequence) for sequence in ordered), *(f"SP {name}" for name in point_names)]
     kinds = [Kind.BS] + [Kind.VA] * len(ordered) + [Kind.SP] * len(points)

@@ -1,6 +1,7 @@
 """Loads a scene: an XML file or one of Sionna's own, with its materials checked for the carrier frequency.
 
-Everything a user can get wrong in a scene file is found here and said in one sentence, before the ray tracer sees it.
+Everything a user can get wrong in a scene file is found here and said in one sentence, before the ray tracer
+sees it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from dopslam.errors import SceneError
 from dopslam.raytracing.backend import backend
-from dopslam.raytracing.endpoints import mend
+from dopslam.raytracing.mends import mend_endpoints
 from dopslam.raytracing.surfaces import Surfaces, build_surfaces
 
 ABSORBER = "absorber"
@@ -49,8 +50,15 @@ class LoadedScene:
 def builtin_scenes() -> dict[str, Path]:
     """Scenes that Sionna ships, by name; does not import it."""
     spec = importlib.util.find_spec("sionna")
-    roots = [Path(root) / "rt" / "scenes" for root in (spec.submodule_search_locations if spec else None) or ()]
-    files = {path.name: path / f"{path.name}.xml" for root in roots if root.is_dir() for path in sorted(root.iterdir())}
+    roots = [
+        Path(root) / "rt" / "scenes" for root in (spec.submodule_search_locations if spec else None) or ()
+    ]
+    files = {
+        path.name: path / f"{path.name}.xml"
+        for root in roots
+        if root.is_dir()
+        for path in sorted(root.iterdir())
+    }
     return {name: path for name, path in files.items() if path.is_file()}
 
 
@@ -68,7 +76,11 @@ def scene_file(path: str | Path) -> Path:
     if str(path) in shipped:
         return shipped[str(path)]
     near = difflib.get_close_matches(str(path), shipped, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"give an existing file or one of {', '.join(sorted(shipped))}"
+    hint = (
+        f"did you mean {near[0]!r}?"
+        if near
+        else f"give an existing file or one of {', '.join(sorted(shipped))}"
+    )
     raise SceneError(f"scene {str(path)!r} is neither a file nor a scene that Sionna ships; {hint}")
 
 
@@ -90,7 +102,8 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         raise SceneError(f"{file}: not a readable XML file ({error})") from error
     _map_materials(root, source.materials, file)
     _check_materials(root, carrier_frequency, file)
-    gc.collect()  # scenes are cyclic; one still registered in the ray tracer changes its kernels, which compile again
+    # Scenes are cyclic; one that is still registered changes the tracer's kernels, which compile again.
+    gc.collect()
     previous = mi.file_resolver()
     resolver = mi.FileResolver(previous)
     resolver.append(str(file.parent))
@@ -99,14 +112,16 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         # Merging shapes, the default, would destroy the names of the walls.
         scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
         for material in scene.radio_materials.values():
-            if not hasattr(material, "frequency_update"):  # absorbers lack it in Sionna 2.2, and the next line calls it
+            if not hasattr(
+                material, "frequency_update"
+            ):  # absorbers lack it in Sionna 2.2, and the next line calls it
                 material.frequency_update = lambda: None
         scene.frequency = carrier_frequency
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         raise SceneError(f"{file}: the ray tracer refuses it ({_one_line(error)})") from error
     finally:
         mi.set_file_resolver(previous)
-    mend(scene)
+    mend_endpoints(scene)
     pattern = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
     scene.tx_array = scene.rx_array = pattern
     meshes = {name: _triangles(item.mi_mesh) for name, item in sorted(scene.objects.items())}
@@ -157,7 +172,11 @@ def _map_materials(root: ET.Element, mapping: Mapping[str, str], file: Path) -> 
             near = difflib.get_close_matches(new, [*table, ABSORBER], n=1)
             raise SceneError(
                 f"[scene.materials] {old} = {new!r}: no such ITU material"
-                + (f", did you mean {near[0]!r}?" if near else f"; known are {', '.join(table)} and {ABSORBER}")
+                + (
+                    f", did you mean {near[0]!r}?"
+                    if near
+                    else f"; known are {', '.join(table)} and {ABSORBER}"
+                )
             )
         if old not in known:
             near = difflib.get_close_matches(old, known, n=1)
@@ -201,13 +220,18 @@ def _check_materials(root: ET.Element, carrier_frequency: float, file: Path) -> 
         ]
         if not users:
             continue
-        where = f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
+        where = (
+            f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
+        )
         if itu not in table:
             near = difflib.get_close_matches(itu, table, n=1)
-            raise SceneError(f"{where} has the unknown ITU type {itu!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+            raise SceneError(
+                f"{where} has the unknown ITU type {itu!r}" + (f"; did you mean {near[0]!r}?" if near else "")
+            )
         if not any(low <= carrier_frequency / 1e9 <= high for low, high in table[itu]):
             ranges = ", ".join(f"{low:g} to {high:g} GHz" for low, high in table[itu])
             raise SceneError(
-                f"{where} is {itu!r}, which is defined for {ranges} and not at {carrier_frequency / 1e9:g} GHz; map it "
-                f'in the scenario: [scene.materials] {name.removeprefix("mat-")} = "concrete" (or another ITU type)'
+                f"{where} is {itu!r}, which is defined for {ranges} and not at "
+                f"{carrier_frequency / 1e9:g} GHz; map it in the scenario: [scene.materials] {name.removeprefix('mat-')} = 'concrete' "
+                "(or another ITU type)"
             )

@@ -1,8 +1,10 @@
-"""The reflecting surfaces of a scene as plain arrays: triangles, the planes they lie on, readable names, outlines.
+"""The reflecting surfaces of a scene as plain arrays: triangles, the planes they lie on, readable names,
+outlines.
 
-A virtual anchor belongs to a *plane*, not to a triangle or an object: two triangles of a wall, or two flush façades, make
-the same one. Faces are therefore clustered: normals closer than 2e-4 rad and offsets closer than 5 mm (seen from the center
-of the scene) are one plane, so virtual anchors less than about 1 cm apart are one. A curved mesh has a plane per triangle.
+A virtual anchor belongs to a *plane*, not to a triangle or an object: two triangles of a wall, or two flush
+façades, make the same one. Faces are therefore clustered: normals closer than 2e-4 rad and offsets closer
+than 5 mm (seen from the center of the scene) are one plane, so virtual anchors less than about 1 cm apart are
+one. A curved mesh has a plane per triangle.
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ class Surfaces:
     ----------
     objects : (M,) names
     triangles : (T, 3, 3) m
-    triangle_object : (T,) index into ``objects``; first_triangle : (M,), a triangle's index within its object starts there
+    triangle_object : (T,) index into ``objects``; first_triangle : (M,), a triangle's index within its object
+        starts there
     triangle_plane : (T,) index into the planes, −1 for degenerate triangles
     plane_normal : (P, 3), plane_offset : (P,) m, normal · x = offset
     plane_name : (P,) e.g. ``"wall_east"``, or ``"building_1.south"`` for a face of an object with several
@@ -57,7 +60,9 @@ def build_surfaces(meshes: dict[str, np.ndarray]) -> Surfaces:
     """Surfaces of named triangle meshes, each (T, 3, 3) m."""
     objects = tuple(meshes)
     counts = np.array([len(mesh) for mesh in meshes.values()], dtype=np.intp)
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh, dtype=float) for mesh in meshes.values())])
+    triangles = np.concatenate(
+        [np.zeros((0, 3, 3)), *(np.asarray(mesh, dtype=float) for mesh in meshes.values())]
+    )
     owner = np.repeat(np.arange(len(objects)), counts)
     normals, offsets, areas = triangle_planes(triangles)
     plane, plane_normal, plane_offset = _cluster(normals, offsets, areas, triangles)
@@ -116,7 +121,9 @@ def _plane_names(objects, owner, triangles, areas, plane, plane_normal) -> tuple
             label = name
             if len(planes) > 1:
                 p = planes[i]
-                outward = np.average(centroids[inverse == i], axis=0, weights=areas[rows][inverse == i]) - middle
+                outward = (
+                    np.average(centroids[inverse == i], axis=0, weights=areas[rows][inverse == i]) - middle
+                )
                 label = f"{name}.{_face_name(plane_normal[p], float(outward @ plane_normal[p]))}"
                 seen[label] = seen.get(label, 0) + 1
                 label += f"_{seen[label]}" if seen[label] > 1 else ""
@@ -135,7 +142,8 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
 
     Parameters
     ----------
-    points : name → (3,) or (N, 3) m; the name is used in the message, with the row's number for several points
+    points : name → (3,) or (N, 3) m; the name is used in the message, with the row's number for several
+        points
 
     Raises
     ------
@@ -145,7 +153,9 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     names = list(points)
     blocks = [np.atleast_2d(np.asarray(value, dtype=float)) for value in points.values()]
     stacked = np.concatenate(blocks)
-    label = [f"{n} {i}" if len(b) > 1 else n for n, b in zip(names, blocks, strict=True) for i in range(len(b))]
+    label = [
+        f"{n} {i}" if len(b) > 1 else n for n, b in zip(names, blocks, strict=True) for i in range(len(b))
+    ]
     for name, point in zip(label, stacked, strict=True):
         if not np.all(np.isfinite(point)):
             raise SceneError(f"{name} has the position {point.tolist()}; give finite numbers in meters")
@@ -153,22 +163,26 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
         mesh = surfaces.triangles[surfaces.triangle_object == index]
         if not len(mesh):
             continue
-        near = np.all((stacked >= mesh.min((0, 1)) - clearance) & (stacked <= mesh.max((0, 1)) + clearance), axis=1)
+        near = np.all(
+            (stacked >= mesh.min((0, 1)) - clearance) & (stacked <= mesh.max((0, 1)) + clearance), axis=1
+        )
         rows = np.flatnonzero(near)
         for chunk in np.array_split(rows, max(1, len(rows) * len(mesh) // 200_000)):
             close = distance_to_triangles(stacked[chunk], mesh).min(axis=1, initial=np.inf) < clearance
             if np.any(close):
                 row = chunk[np.argmax(close)]
                 raise SceneError(
-                    f"{label[row]} at {_text(stacked[row])} m is closer than {100 * clearance:g} cm to a surface of object "
-                    f"{owner!r}; move it away"
+                    f"{label[row]} at {_text(stacked[row])} m is closer than {100 * clearance:g} cm to "
+                    f"a surface of object {owner!r}; move it away"
                 )
         inside = np.zeros(len(stacked), dtype=bool)
         for chunk in np.array_split(rows, max(1, len(rows) * len(mesh) // 200_000)):
             inside[chunk] = np.abs(winding_number(stacked[chunk], mesh)) > 0.5
         if np.any(inside) and not np.all(inside):
             row = int(np.argmax(inside))
-            raise SceneError(f"{label[row]} at {_text(stacked[row])} m lies inside object {owner!r}; move it out")
+            raise SceneError(
+                f"{label[row]} at {_text(stacked[row])} m lies inside object {owner!r}; move it out"
+            )
 
 
 def _text(point: np.ndarray) -> str:
@@ -178,8 +192,8 @@ def _text(point: np.ndarray) -> str:
 def floor_plan(surfaces: Surfaces, height: float) -> list[tuple[str, np.ndarray]]:
     """Outlines of the objects for a plan view.
 
-    An object that crosses the height [m] gives its horizontal section there (one polyline per connected piece), any
-    other its convex footprint; flat horizontal ones (floors) give nothing.
+    An object that crosses the height [m] gives its horizontal section there (one polyline per connected
+    piece), any other its convex footprint; flat horizontal ones (floors) give nothing.
 
     Returns
     -------
@@ -221,7 +235,9 @@ def _section(mesh: np.ndarray, height: float) -> list[np.ndarray]:
             neighbors.setdefault(ends[1], set()).add(ends[0])
     lines = []
     while neighbors:
-        start = min(neighbors, key=lambda point: (len(neighbors[point]) == 2, point))  # begin at a loose end if any
+        start = min(
+            neighbors, key=lambda point: (len(neighbors[point]) == 2, point)
+        )  # begin at a loose end if any
         line = [start]
         while neighbors.get(line[-1]):
             here = line[-1]

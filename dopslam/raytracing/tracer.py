@@ -1,19 +1,21 @@
 """Traces a scene: from positions to landmarks and propagation paths.
 
-Sionna RT finds which paths exist, over which faces, and their complex gains; its single precision is not good enough for
-the rest (τc to 5e-5 m, carrier phase to 0.04 rad). Delay, angles, Doppler and interaction points are therefore computed
-again in float64 by the image method from the planes that a path touched, and checked against Sionna's.
+Sionna RT finds which paths exist, over which faces, and their complex gains; its single precision is not good
+enough for the rest (τc to 5e-5 m, carrier phase to 0.04 rad). Delay, angles, Doppler and interaction points
+are therefore computed again in float64 by the image method from the planes that a path touched, and checked
+against Sionna's.
 
-Scatter points are a sensing target of Sionna's radar solver: one speck below the scene that carries all points with unit
-cross-section, scaled here by √σ e^{jψ}. The receivers are traced in chunks of at most 2000: with more in one call, hash
-collisions drop paths silently, as they do with the default size of the hash table. The deterministic solver is used, whose
-results repeat bit for bit and do not depend on the chunks; it is the one that needs memory for every ray and receiver.
+Scatter points are a sensing target of Sionna's radar solver: one speck below the scene that carries all
+points with unit cross-section, scaled here by √σ e^{jψ}. The receivers are traced in chunks of at most 2000:
+with more in one call, hash collisions drop paths silently, as they do with the default size of the hash
+table. The deterministic solver is used, whose results repeat bit for bit and do not depend on the chunks; it
+is the one that needs memory for every ray and receiver.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import importlib
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -22,103 +24,22 @@ from dopslam.errors import SceneError
 from dopslam.geometry import PathGeometry, reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.raytracing.backend import backend
 from dopslam.raytracing.landmarks import Naming, landmarks_of
+from dopslam.raytracing.mends import CountingSolver
 from dopslam.raytracing.scene import LoadedScene, SceneSource, load_scene
+from dopslam.raytracing.settings import JONES, ScatterPoints, TraceSettings
 from dopslam.raytracing.surfaces import check_positions
+from dopslam.raytracing.traced import Traced, join
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths
 
-MAX_CHUNK = 2000
-HASH_TABLE_SIZE = 7_999_993  # a prime; Sionna's 1e6 loses paths to collisions
-LANES_PER_CALL = 8_000_000  # reflections × rays × receivers of one call; 30 bytes each in memory
 PAIRS_PER_CALL = 20_000_000  # the radar solver pairs (points) × (points × receivers) legs in memory
 SPECULAR = 1
-JONES = {"V": (1.0, 0.0), "H": (0.0, 1.0), "+45": (np.sqrt(0.5), np.sqrt(0.5)), "-45": (np.sqrt(0.5), -np.sqrt(0.5))}
 _TARGET = "dopslam_scatter_points"
 
 
-@dataclass(frozen=True)
-class TraceSettings:
-    """Settings of the ray tracer.
-
-    Attributes
-    ----------
-    max_depth : largest number of reflections of a path
-    samples : rays launched from the base station to find candidate walls; a wall is missed only if no ray hits it
-    refraction : whether paths may pass through walls (outdoors rarely wanted: it multiplies the paths)
-    seed : of the rays' sampling
-    chunk : receivers per call of the tracer at most, up to 2000; many rays or reflections make it smaller
-    polarization : of the isotropic antennas (base station, receiver), each ``"V"``, ``"H"``, ``"+45"`` or ``"-45"``
-    """
-
-    max_depth: int = 1
-    samples: int = 200_000
-    refraction: bool = False
-    seed: int = 1
-    chunk: int = 500
-    polarization: tuple[str, str] = ("V", "V")
-
-    @property
-    def receivers_per_call(self) -> int:
-        """Receivers per call of the tracer, so that memory stays bounded."""
-        return min(self.chunk, max(1, LANES_PER_CALL // (self.samples * max(self.max_depth, 1))))
-
-    def __post_init__(self):
-        if not 0 <= self.max_depth <= 8:
-            raise SceneError(f"max_depth is {self.max_depth}; give a number of reflections from 0 to 8")
-        if not 1 <= self.samples <= 10_000_000:
-            raise SceneError(f"samples is {self.samples}; give a number of rays from 1 to 1e7")
-        if not 1 <= self.chunk <= MAX_CHUNK:
-            raise SceneError(f"chunk is {self.chunk}; give 1 to {MAX_CHUNK}: larger ones lose paths silently")
-        for end in self.polarization:
-            if end not in JONES:
-                raise SceneError(f"polarization is {end!r}; known are {', '.join(JONES)}")
-
-
-@dataclass(frozen=True)
-class ScatterPoints:
-    """Small objects as points with a constant bistatic radar cross-section.
-
-    Attributes
-    ----------
-    names : (P,) str
-    positions : (P, 3) m
-    rcs : (P,) σ, m²
-    phases : (P,) ψ, rad, of the reflection
-    """
-
-    names: tuple[str, ...] = ()
-    positions: np.ndarray = None  # type: ignore[assignment]
-    rcs: np.ndarray = None  # type: ignore[assignment]
-    phases: np.ndarray = None  # type: ignore[assignment]
-
-    def __post_init__(self):
-        count = len(self.names)
-        positions = np.zeros((0, 3)) if self.positions is None else np.asarray(self.positions, dtype=float)
-        object.__setattr__(self, "names", tuple(map(str, self.names)))
-        object.__setattr__(self, "positions", positions.reshape(-1, 3))
-        object.__setattr__(self, "rcs", np.ones(count) if self.rcs is None else np.asarray(self.rcs, dtype=float))
-        phases = np.zeros(count) if self.phases is None else np.asarray(self.phases, dtype=float)
-        object.__setattr__(self, "phases", phases)
-        if not len(self.positions) == len(self.rcs) == len(self.phases) == count:
-            raise SceneError(f"scatter points: {count} names do not match the positions, cross-sections or phases")
-        if len(set(self.names)) < count:
-            raise SceneError("scatter points: two have the same name; give each its own")
-        if np.any(self.rcs < 0) or not np.all(np.isfinite(self.rcs)):
-            raise SceneError(f"scatter points: rcs is {self.rcs.min():g} m²; give non-negative finite numbers")
-
-
-class Traced(NamedTuple):
-    """What was found for one run of receivers; ``transfer`` (N, 2, 2) complex is the full polarimetric gain of every path.
-
-    Rows of ``transfer`` are the receiver's V and H, columns the base station's V and H (isotropic elements, world frame).
-    """
-
-    landmarks: Landmarks
-    paths: Paths
-    transfer: np.ndarray
-
-
 class _Found(NamedTuple):
-    """Paths of one call: receiver (N,), planes (N, D) padded with −1, point (N,) or −1, gains (N, 2, 2), Sionna's τc (N,) m."""
+    """Paths of one call: receiver (N,), planes (N, D) padded with −1, point (N,) or −1, gains (N, 2, 2),
+    Sionna's τc (N,) m.
+    """
 
     receiver: np.ndarray
     planes: np.ndarray
@@ -141,8 +62,8 @@ class Tracer:
     Raises
     ------
     SceneError
-        For a scene that cannot be loaded, an undefined material, a base station or scatter point inside an object or closer
-        than 1 cm to a surface.
+        For a scene that cannot be loaded, an undefined material, a base station or scatter point inside an
+        object or closer than 1 cm to a surface.
     LLVMError
         If the ray tracer cannot run on this machine.
     """
@@ -179,16 +100,15 @@ class Tracer:
         self._object_of = np.full(max(identifiers, default=0) + 1, -1, dtype=np.intp)
         for identifier, name in identifiers.items():
             self._object_of[identifier] = index.get(name, -1)
-        # The constant is read when a solver runs; larger is right for everyone, so it stays.
-        generator = rt.path_solvers.sb_candidate_generator.SBCandidateGenerator
-        generator.MIN_SPEC_COUNT_SIZE = max(generator.MIN_SPEC_COUNT_SIZE, HASH_TABLE_SIZE)
-        self._solver = rt.PathSolver(deterministic=True)
+        self._solver = CountingSolver()
 
     def _add_points(self) -> None:
         """One millimeter-sized target below everything, so that it hides nothing, carries all the points."""
-        rt, mi = backend()
-        rcs = __import__("sionna.rt.rcs", fromlist=["rcs"])
-        corners = np.concatenate([self.surfaces.triangles.reshape(-1, 3), self.points.positions, [self.bs_position]])
+        _, mi = backend()
+        rcs = importlib.import_module("sionna.rt.rcs")
+        corners = np.concatenate(
+            [self.surfaces.triangles.reshape(-1, 3), self.points.positions, [self.bs_position]]
+        )
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         home = np.array([middle[0], middle[1], corners[:, 2].min() - 10.0]).round()
         model = rcs.ScatteringModel(
@@ -198,25 +118,33 @@ class Tracer:
         )
         size = {"length": 1e-3, "width": 1e-3, "height": 1e-3}
         self.scene.add(
-            rcs.SensingTarget(name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size)
+            rcs.SensingTarget(
+                name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size
+            )
         )
         self._radar = rcs.RCSSolver(deterministic=True)
 
     def chunks(self, receivers: np.ndarray, velocities: np.ndarray | None = None) -> Iterator[Traced]:
-        """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk after chunk; memory does not grow with K.
+        """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk after chunk; memory does not grow with
+        K.
 
-        Every chunk has its own :class:`Landmarks` with the same names and order rules; :func:`join` unites them.
+        Every chunk has its own :class:`Landmarks` with the same names and order rules; :func:`join` unites
+        them.
         """
         receivers = np.asarray(receivers, dtype=float).reshape(-1, 3)
         velocities = np.zeros_like(receivers) if velocities is None else np.asarray(velocities, dtype=float)
         if velocities.shape != receivers.shape:
-            raise SceneError(f"{len(receivers)} receivers but velocities of shape {velocities.shape}; give one each")
+            raise SceneError(
+                f"{len(receivers)} receivers but velocities of shape {velocities.shape}; give one each"
+            )
         count = len(receivers)
         if not count:
             raise SceneError("no receiver positions to trace; give at least one")
         check_positions(self.surfaces, {"the receiver at step": receivers, **self._fixed})
         # Equal chunks: another number of receivers would compile another kernel.
-        limit = min(self.settings.receivers_per_call, max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2))
+        limit = min(
+            self.settings.receivers_per_call, max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2)
+        )
         size = -(-count // -(-count // limit))
         for start in range(0, count, size):
             rows = slice(start, min(start + size, count))
@@ -232,7 +160,9 @@ class Tracer:
         rest = (np.concatenate(column) for column in zip(*(f[:1] + f[2:] for f in found), strict=True))
         receiver, point, transfer, length = rest
         keep = _first_of_each(np.column_stack([receiver, point, planes])) & (receiver < len(receivers))
-        receiver, planes, point, transfer, length = (c[keep] for c in (receiver, planes, point, transfer, length))
+        receiver, planes, point, transfer, length = (
+            c[keep] for c in (receiver, planes, point, transfer, length)
+        )
         geometry = self._geometry(receivers[receiver], planes, point)
         self._compare(geometry.length, length)
         return self._records(receiver, planes, point, transfer, geometry, velocities)
@@ -256,8 +186,8 @@ class Tracer:
         s = self.settings
         paths = self._solver(
             self.scene, max_depth=s.max_depth, samples_per_src=s.samples, synthetic_array=True, los=True,
-            specular_reflection=True, diffuse_reflection=False, refraction=s.refraction, diffraction=False, seed=s.seed,
-            max_num_paths_per_src=max(1_000_000, 50 * len(self.scene.receivers)),
+            specular_reflection=True, diffuse_reflection=False, refraction=s.refraction, diffraction=False,
+            seed=s.seed,
         )  # fmt: skip
         receiver, where = _valid(paths)
         specular = paths.interactions.numpy()[(slice(None), *where)].T == SPECULAR  # (N, D)
@@ -276,8 +206,8 @@ class Tracer:
         if not len(self.points.names):
             return []
         paths = self._radar(
-            self.scene, max_depth=1, samples_per_sp=1, buffer_size_per_sp=size + 10, synthetic_array=True, los=True,
-            specular_reflection=False, refraction=False, seed=self.settings.seed,
+            self.scene, max_depth=1, samples_per_sp=1, buffer_size_per_sp=size + 10, synthetic_array=True,
+            los=True, specular_reflection=False, refraction=False, seed=self.settings.seed,
         )  # fmt: skip
         receiver, where = _valid(paths)
         point = paths.primitives.numpy()[(0, *where)].astype(np.intp)
@@ -315,8 +245,9 @@ class Tracer:
         if np.any(wrong):
             row = int(np.argmax(wrong))
             raise SceneError(
-                f"{int(wrong.sum())} of {len(length)} traced paths do not fit the planes of the scene (first: "
-                f"{traced[row]:.3f} m traced, {length[row]:.3f} m by the image method); the meshes may be curved or damaged"
+                f"{int(wrong.sum())} of {len(length)} traced paths do not fit the planes (first: "
+                f"{traced[row]:.3f} m traced, {length[row]:.3f} m by the image method); the meshes may be "
+                "curved or damaged"
             )
 
     def _records(self, receiver, planes, point, transfer, geometry: PathGeometry, velocities) -> Traced:
@@ -328,11 +259,14 @@ class Tracer:
         )
         first_point = len(landmarks) - len(self.points.names)
         landmark = np.array(
-            [first_point + p if p >= 0 else rows[s] for s, p in zip(canonical, point, strict=True)], dtype=np.int64
+            [first_point + p if p >= 0 else rows[s] for s, p in zip(canonical, point, strict=True)],
+            dtype=np.int64,
         )
         order = np.lexsort((geometry.length, landmark, receiver))
         landmark, receiver, transfer = landmark[order], receiver[order], transfer[order]
-        length, departure, arrival = (c[order] for c in (geometry.length, geometry.departure, geometry.arrival))
+        length, departure, arrival = (
+            c[order] for c in (geometry.length, geometry.departure, geometry.arrival)
+        )
         vertices = geometry.vertices[order]
         real = np.isfinite(vertices[..., 0])
         theta_t, phi_t = zenith_azimuth(departure)
@@ -377,41 +311,6 @@ def _first_of_each(keys: np.ndarray) -> np.ndarray:
     mask = np.zeros(len(keys), dtype=bool)
     mask[np.unique(keys, axis=0, return_index=True)[1]] = True
     return mask
-
-
-def join(chunks: Sequence[Traced]) -> Traced:
-    """Unite chunks of the same scene and base station into one record, landmarks and indices included."""
-    merged: dict[str, tuple] = {}
-    for chunk in chunks:
-        marks = chunk.landmarks
-        for row in zip(marks.name.tolist(), marks.kind.tolist(), marks.position, marks.order.tolist(), strict=True):
-            merged.setdefault(row[0], row)
-    points = [row[0] for row in merged.values() if row[1] == 2]
-    rows = sorted(merged.values(), key=lambda row: (row[1], row[3], points.index(row[0]) if row[1] == 2 else row[0]))
-    landmarks = Landmarks(
-        name=np.array([row[0] for row in rows]),
-        kind=np.array([row[1] for row in rows], dtype=np.int8),
-        position=np.array([row[2] for row in rows]),
-        order=np.array([row[3] for row in rows], dtype=np.int64),
-    )
-    index = {row[0]: i for i, row in enumerate(rows)}
-    columns = {
-        name: np.concatenate([getattr(chunk.paths, name) for chunk in chunks])
-        for name in ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler", "vertices")
-    }
-    paths = Paths(
-        offsets=_joined_offsets([chunk.paths.offsets for chunk in chunks]),
-        landmark=np.concatenate([
-            np.array([index[name] for name in chunk.landmarks.name.tolist()])[chunk.paths.landmark] for chunk in chunks
-        ]),
-        vertex_offsets=_joined_offsets([chunk.paths.vertex_offsets for chunk in chunks]),
-        **columns,
-    )  # fmt: skip
-    return Traced(landmarks, paths, np.concatenate([chunk.transfer for chunk in chunks]))
-
-
-def _joined_offsets(offsets: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(np.concatenate([np.diff(o) for o in offsets]))])
 
 
 def trace(

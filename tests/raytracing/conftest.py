@@ -1,9 +1,10 @@
 """Shared by the tracing tests: an oracle, the ring road, a tracer for it.
 
-The oracle finds every specular path that must exist by enumeration: image method plus exact occlusion tests, no rays.
+The oracle finds every specular path that must exist by enumeration: image method plus exact occlusion tests,
+no rays.
 """
 
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,9 @@ SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def _crossings(start, end, triangles):
-    """(N, T) fraction along the segments start → end (N, 3) at which they cross triangles (T, 3, 3); NaN if they do not."""
+    """(N, T) fraction along the segments start → end (N, 3) at which they cross triangles (T, 3, 3); NaN if
+    they do not.
+    """
     direction = end - start
     origin, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     p = np.cross(direction[:, None], e2[None])
@@ -38,7 +41,9 @@ def _clear(start, end, triangles):
 
 
 def _margin_in_plane(points, triangles):
-    """(N,) smallest barycentric coordinate of points in the best of the coplanar triangles (negative: outside)."""
+    """(N,) smallest barycentric coordinate of points in the best of the coplanar triangles (negative:
+    outside).
+    """
     best = np.full(len(points), -np.inf)
     for a, b, c in triangles:
         normal = np.cross(b - a, c - a)
@@ -59,10 +64,12 @@ def _expected_paths(surfaces, bs, receivers, max_depth):
     planes = range(len(surfaces.plane_offset))
     for depth in range(max_depth + 1):
         for sequence in product(planes, repeat=depth):
-            if any(a == b for a, b in zip(sequence, sequence[1:], strict=False)):
+            if any(a == b for a, b in pairwise(sequence)):
                 continue
             index = np.array(sequence, dtype=int)
-            geometry = reflected_paths(bs, receivers, surfaces.plane_normal[index], surfaces.plane_offset[index])
+            geometry = reflected_paths(
+                bs, receivers, surfaces.plane_normal[index], surfaces.plane_offset[index]
+            )
             corners = np.concatenate([
                 np.broadcast_to(bs, (len(receivers), 1, 3)), geometry.vertices, receivers[:, None]
             ], axis=1)  # fmt: skip
@@ -72,7 +79,10 @@ def _expected_paths(surfaces, bs, receivers, max_depth):
                 normal, offset = surfaces.plane_normal[plane], surfaces.plane_offset[plane]
                 sides = (corners[:, [i, i + 2]] @ normal) - offset
                 valid &= sides[:, 0] * sides[:, 1] > 0
-                valid &= _margin_in_plane(corners[:, i + 1], surfaces.triangles[surfaces.triangle_plane == plane]) >= 0
+                valid &= (
+                    _margin_in_plane(corners[:, i + 1], surfaces.triangles[surfaces.triangle_plane == plane])
+                    >= 0
+                )
             rows = np.flatnonzero(valid)
             for i in range(depth + 1):
                 if len(rows):

@@ -38,7 +38,8 @@ def test_scatter_points():
 
 def test_importing_the_room_or_listing_scenes_does_not_import_the_ray_tracer():
     code = (
-        "import sys; from dopslam.raytracing import builtin_scenes; assert 'simple_street_canyon' in builtin_scenes();"
+        "import sys; from dopslam.raytracing import builtin_scenes;"
+        "assert 'simple_street_canyon' in builtin_scenes();"
         "assert not {'sionna', 'mitsuba', 'drjit'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": ":".join(sys.path)})

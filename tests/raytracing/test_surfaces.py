@@ -16,7 +16,12 @@ def quad(a, b, c, d):
 def box(low, high):
     """A closed box as 12 triangles with outward normals."""
     (x0, y0, z0), (x1, y1, z1) = low, high
-    p = {(i, j, k): (x, y, z) for i, x in enumerate((x0, x1)) for j, y in enumerate((y0, y1)) for k, z in enumerate((z0, z1))}
+    p = {
+        (i, j, k): (x, y, z)
+        for i, x in enumerate((x0, x1))
+        for j, y in enumerate((y0, y1))
+        for k, z in enumerate((z0, z1))
+    }
     faces = [
         [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)], [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
         [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)], [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0)],
@@ -85,9 +90,12 @@ def test_both_ways_around_a_right_angled_corner_are_one_landmark():
     assert naming.canonical((north, east)) == naming.canonical((east, north)) == (east, north)
     assert naming.canonical((west, east)) == (west, east) != naming.canonical((east, west))
     sequences = {naming.canonical(s) for s in [(), (east,), (north, east), (west, east), (east, west)]}
-    marks, rows = landmarks_of(surfaces, np.array([0.0, 0, 40]), sequences, naming, ("lamp",), np.array([[1.0, 2, 3]]))
+    marks, rows = landmarks_of(
+        surfaces, np.array([0.0, 0, 40]), sequences, naming, ("lamp",), np.array([[1.0, 2, 3]])
+    )
     assert marks.name.tolist() == [
-        "BS", "VA wall_east", "VA wall_east > wall_north", "VA wall_east > wall_west", "VA wall_west > wall_east", "SP lamp",
+        "BS", "VA wall_east", "VA wall_east > wall_north", "VA wall_east > wall_west",
+        "VA wall_west > wall_east", "SP lamp",
     ]  # fmt: skip
     expected = [[0, 0, 40], [200, 0, 40], [200, 200, 40], [-400, 0, 40], [400, 0, 40], [1, 2, 3]]
     np.testing.assert_allclose(marks.position, expected)
@@ -102,13 +110,21 @@ def test_an_oblique_corner_keeps_its_two_orders_apart():
     assert naming.canonical((0, 1)) != naming.canonical((1, 0))
 
 
-HOUSE = build_surfaces({"house": box((0, 0, 0), (10, 8, 6)), "floor": quad((-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0))})
+HOUSE = build_surfaces(
+    {
+        "house": box((0, 0, 0), (10, 8, 6)),
+        "floor": quad((-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0)),
+    }
+)
 
 
 @pytest.mark.parametrize(
     "position, message",
     [
-        ([5, 4, 3], r"the receiver at step at \(5.000, 4.000, 3.000\) m lies inside object 'house'; move it out"),
+        (
+            [5, 4, 3],
+            r"the receiver at step at \(5.000, 4.000, 3.000\) m lies inside object 'house'; move it out",
+        ),
         ([5, 8.004, 3], "closer than 1 cm to a surface of object 'house'"),
         ([20, 20, 0.005], "closer than 1 cm to a surface of object 'floor'"),
         ([np.nan, 0, 0], "give finite numbers"),
@@ -116,7 +132,9 @@ HOUSE = build_surfaces({"house": box((0, 0, 0), (10, 8, 6)), "floor": quad((-50,
 )
 def test_bad_positions_are_refused(position, message):
     with pytest.raises(SceneError, match=message):
-        check_positions(HOUSE, {"the receiver at step": np.array(position), "the base station": np.array([20.0, 0, 20])})
+        check_positions(
+            HOUSE, {"the receiver at step": np.array(position), "the base station": np.array([20.0, 0, 20])}
+        )
 
 
 def test_the_step_is_named():
@@ -126,7 +144,9 @@ def test_the_step_is_named():
 
 
 def test_good_positions_pass():
-    check_positions(HOUSE, {"a": np.array([[20.0, 0, 0.02], [10.011, 4, 3], [5, 4, 6.02]]), "b": np.array([5, 4, 30.0])})
+    check_positions(
+        HOUSE, {"a": np.array([[20.0, 0, 0.02], [10.011, 4, 3], [5, 4, 6.02]]), "b": np.array([5, 4, 30.0])}
+    )
 
 
 def test_a_room_around_everything_is_no_obstacle():

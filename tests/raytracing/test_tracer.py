@@ -36,7 +36,8 @@ def rows_of(landmarks, paths, name):
 def test_ring_road_has_nine_landmarks_at_every_step(ring):
     landmarks, paths = ring
     assert landmarks.name.tolist() == [
-        "BS", "VA wall_east", "VA wall_north", "VA wall_south", "VA wall_west", "SP east", "SP north", "SP west", "SP south",
+        "BS", "VA wall_east", "VA wall_north", "VA wall_south", "VA wall_west", "SP east", "SP north",
+        "SP west", "SP south",
     ]  # fmt: skip
     assert landmarks.kind.tolist() == [Kind.BS] + [Kind.VA] * 4 + [Kind.SP] * 4
     assert landmarks.order.tolist() == [0] + [1] * 8
@@ -80,7 +81,9 @@ def test_gain_of_the_line_of_sight_is_friis(ring):
 
 
 def test_gain_of_scatter_points_is_the_radar_equation(ring, ring_track):
-    """|a| = λ√σ / ((4π)^{3/2} d₁ d₂) times the polarization projected over both legs (1 for vertical over flat legs)."""
+    """|a| = λ√σ / ((4π)^{3/2} d₁ d₂) times the polarization projected over both legs (1 for vertical over
+    flat legs).
+    """
     landmarks, paths = ring
     for i, name in enumerate(POINTS.names):
         rows = rows_of(landmarks, paths, f"SP {name}")
@@ -129,7 +132,8 @@ def _check_complete(tracer, receivers, depth, expected_paths):
     expected = expected_paths(tracer.surfaces, tracer.bs_position, receivers, depth)
     traced = join(list(tracer.chunks(receivers)))
     names = {
-        (row, "BS" if not planes else tracer.naming.name(tracer.naming.canonical(planes))) for row, planes in expected
+        (row, "BS" if not planes else tracer.naming.name(tracer.naming.canonical(planes)))
+        for row, planes in expected
     }
     owner = np.repeat(np.arange(len(receivers)), np.diff(traced.paths.offsets))
     found = {(int(r), traced.landmarks.name[i]) for r, i in zip(owner, traced.paths.landmark, strict=True)}
@@ -138,11 +142,15 @@ def _check_complete(tracer, receivers, depth, expected_paths):
 
 
 def test_second_order_anchors_are_named_by_their_walls(ring_xml, ring_track):
-    landmarks, paths = trace(SceneSource(ring_xml), CARRIER, BS, *ring_track, None, TraceSettings(max_depth=2))
+    landmarks, paths = trace(
+        SceneSource(ring_xml), CARRIER, BS, *ring_track, None, TraceSettings(max_depth=2)
+    )
     double = landmarks.order == 2
     assert {n for n in landmarks.name[double]} == {
-        "VA wall_east > wall_north", "VA wall_east > wall_south", "VA wall_north > wall_west", "VA wall_south > wall_west",
-        "VA wall_east > wall_west", "VA wall_west > wall_east", "VA wall_north > wall_south", "VA wall_south > wall_north",
+        "VA wall_east > wall_north", "VA wall_east > wall_south", "VA wall_north > wall_west",
+        "VA wall_south > wall_west",
+        "VA wall_east > wall_west", "VA wall_west > wall_east", "VA wall_north > wall_south",
+        "VA wall_south > wall_north",
     }  # fmt: skip
     corner = landmarks.name.tolist().index("VA wall_east > wall_north")
     np.testing.assert_allclose(landmarks.position[corner], [200, 200, 40], atol=1e-9)
@@ -200,7 +208,8 @@ def scene_of(tmp_path, *shapes, name="made.xml"):
 def upright(name, x):
     """A wall in the plane x, 40 m wide and high, as a rectangle of Mitsuba."""
     return (
-        f'<shape type="rectangle" id="{name}"><transform name="to_world"><matrix value="0 0 1 {x}  20 0 0 0  0 20 0 0  0 0 0 1"/>'
+        f'<shape type="rectangle" id="{name}"><transform name="to_world">'
+        f'<matrix value="0 0 1 {x}  20 0 0 0  0 20 0 0  0 0 0 1"/>'
         '</transform><ref id="stuff" name="bsdf"/></shape>'
     )
 
@@ -212,7 +221,9 @@ def test_passing_through_a_pane_leaves_the_landmark(tmp_path):
     landmarks, paths = trace(SceneSource(file), CARRIER, [0.0, 0.0, 0.0], receivers, None, None, settings)
     assert "BS" in landmarks.name and "VA wall" in landmarks.name
     rows = rows_of(landmarks, paths, "VA wall")
-    np.testing.assert_allclose(paths.tau[rows] * SPEED_OF_LIGHT, np.linalg.norm(receivers - [40, 0, 0], axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        paths.tau[rows] * SPEED_OF_LIGHT, np.linalg.norm(receivers - [40, 0, 0], axis=1), rtol=1e-12
+    )
     np.testing.assert_array_equal(np.diff(paths.vertex_offsets)[rows], 1)
     _, blocked = trace(SceneSource(file), CARRIER, [0.0, 0.0, 0.0], receivers)
     assert len(blocked.a) == 0 and blocked.offsets.tolist() == [0, 0, 0]
@@ -223,7 +234,9 @@ def test_free_space_and_no_reflections(tmp_path, ring_xml):
     points = ScatterPoints(("ball",), [[5.0, 5.0, 5.0]])
     landmarks, paths = trace(SceneSource(file), CARRIER, [0.0, 0.0, 10.0], [[10.0, 0, 0]], None, points)
     assert landmarks.name[paths.landmark].tolist() == ["BS", "SP ball"]
-    _, direct = trace(SceneSource(ring_xml), CARRIER, BS, [[10.0, 0, 0]], None, None, TraceSettings(max_depth=0))
+    _, direct = trace(
+        SceneSource(ring_xml), CARRIER, BS, [[10.0, 0, 0]], None, None, TraceSettings(max_depth=0)
+    )
     assert direct.landmark.tolist() == [0]
 
 
@@ -248,9 +261,15 @@ def test_many_scatter_points_keep_their_order(ring_xml):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ({"bs_position": [100.0, 0, 40]}, "the base station at .* closer than 1 cm to a surface of object 'wall_east'"),
+        (
+            {"bs_position": [100.0, 0, 40]},
+            "the base station at .* closer than 1 cm to a surface of object 'wall_east'",
+        ),
         ({"receivers": [[0, 0, 1.0], [0, 99.995, 1.0]]}, "the receiver at step 1 .* 'wall_north'"),
-        ({"scatter_points": ScatterPoints(("lamp",), [[-100.0, 3, 3]])}, "scatter point 'lamp' at .* 'wall_west'"),
+        (
+            {"scatter_points": ScatterPoints(("lamp",), [[-100.0, 3, 3]])},
+            "scatter point 'lamp' at .* 'wall_west'",
+        ),
         ({"receivers": np.zeros((0, 3))}, "no receiver positions"),
         ({"velocities": np.zeros((2, 3))}, "1 receivers but velocities of shape"),
     ],
@@ -269,6 +288,20 @@ def test_an_unwritable_cache_is_only_slower(ring_xml, variable, value):
     )
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)) | {variable: value}
     answer = subprocess.run(
-        [sys.executable, "-c", code, str(ring_xml)], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, str(ring_xml)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert answer.stdout.split()[-1] == "5"
+
+
+def test_a_full_buffer_of_candidates_is_noticed(ring_xml, ring_track, ring, monkeypatch):
+    """With room for 50 candidates Sionna alone would silently drop most of the 200 paths."""
+    from dopslam.raytracing import mends
+
+    monkeypatch.setattr(mends, "FIRST_BUFFER", 50)
+    landmarks, paths = trace(SceneSource(ring_xml), CARRIER, BS, *ring_track, POINTS)
+    assert same(paths, ring[1])
+    assert same(landmarks, ring[0])

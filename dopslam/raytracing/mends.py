@@ -1,0 +1,89 @@
+"""Mends three defects of Sionna RT 2.2 without touching its code; all private names that we rely on are in
+this file.
+
+1. ``Scene._endpoints`` writes every receiver's position into the kernel as a literal, so each new trajectory
+compiles
+   a new kernel: 0.6 s for 40 receivers, 8 s for 1000. :func:`mend_endpoints` gives one scene a version that
+   passes the same numbers as data.
+2. The hash table that tells specular candidates apart drops paths on collisions. A larger one does not.
+3. The buffer of candidates drops what exceeds it, without a word. :class:`CountingSolver` notices and takes a
+larger one.
+
+A version of Sionna that was not tested keeps its own behavior in 1 and 3, and whatever a mend does not cover
+goes to the original.
+"""
+
+from __future__ import annotations
+
+from types import MethodType
+
+import numpy as np
+
+from dopslam.raytracing.backend import backend
+
+TESTED_VERSIONS = ("2.2.0",)
+HASH_TABLE_SIZE = 7_999_993  # a prime; Sionna's 1e6 loses paths
+FIRST_BUFFER = 1_000_000  # candidates
+
+
+def _tested() -> bool:
+    rt, _ = backend()
+    return rt.__version__ in TESTED_VERSIONS
+
+
+def _rows(devices, name: str) -> np.ndarray:
+    """(3, N) values of a point-valued attribute of every device; raises if one is not a single point."""
+    values = [[component[0] for component in getattr(device, name)] for device in devices]
+    return np.array(values, dtype=np.float32).T
+
+
+def _endpoints_as_data(scene, radio_devices, array, synthetic_array, return_velocities):
+    """Drop-in for ``Scene._endpoints``, for synthetic arrays of one antenna at the device's own position."""
+    _, mi = backend()
+    devices = list(radio_devices)
+    single = synthetic_array and array is not None and array.array_size == 1
+    if not single or np.any(array.normalized_positions.numpy()) or not devices:
+        return type(scene)._endpoints(scene, devices, array, synthetic_array, return_velocities)
+    positions, orientations = (mi.Point3f(_rows(devices, name)) for name in ("position", "orientation"))
+    relative = mi.Point3f(np.zeros((3, len(devices)), dtype=np.float32))
+    velocities = mi.Vector3f(_rows(devices, "velocity")) if return_velocities else None
+    return positions, orientations, relative, velocities
+
+
+def mend_endpoints(scene) -> None:
+    """Give this Sionna scene endpoints that are data; does nothing for a version of Sionna that was not
+    tested.
+    """
+    if _tested():
+        scene._endpoints = MethodType(_endpoints_as_data, scene)
+
+
+class CountingSolver:
+    """Sionna's deterministic ``PathSolver`` that runs again with a larger buffer when candidates filled it."""
+
+    def __init__(self):
+        rt, _ = backend()
+        # The constant is read when the solver runs; a larger one is right for everybody, so it stays.
+        generator = rt.path_solvers.sb_candidate_generator.SBCandidateGenerator
+        generator.MIN_SPEC_COUNT_SIZE = max(generator.MIN_SPEC_COUNT_SIZE, HASH_TABLE_SIZE)
+        self._solver = rt.PathSolver(deterministic=True)
+        self._candidates = 0
+        if _tested():
+            generate = self._solver._candidate_generator
+
+            def counted(**arguments):
+                buffer = generate(**arguments)
+                self._candidates = int(buffer.paths_counter[0])
+                return buffer
+
+            self._solver._candidate_generator = counted
+
+    def __call__(self, scene, **arguments):
+        """As ``PathSolver``, without ``max_num_paths_per_src``."""
+        size = FIRST_BUFFER
+        while True:
+            self._candidates = 0
+            paths = self._solver(scene, max_num_paths_per_src=size, **arguments)
+            if self._candidates < size:
+                return paths
+            size *= 4
