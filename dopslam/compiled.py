@@ -1,8 +1,8 @@
 """One decorator for compiled kernels: `numba.njit` with a disk cache where there is one.
 
 Numba refuses to define a cached function when none of its cache folders can be written (a read-only
-installation with no home folder). A cache is a convenience: without it the kernels compile anew in every process,
-slower, never broken.
+installation with no home folder). A cache is a convenience: without it the kernels compile anew in every
+process, slower, never broken.
 """
 
 from __future__ import annotations

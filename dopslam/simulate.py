@@ -1,8 +1,9 @@
-"""Tracks drawn from eq. (1) and detections drawn from the measurement model: paper A, Section V, without tracing.
+"""Tracks drawn from eq. (1) and detections drawn from the measurement model: paper A, Section V, without
+tracing.
 
-`Situation` is the world as it is; what a filter knows is given to it separately, so that mismatch can be studied. Two
-kinds of noise: the paper's fixed R with a range limit for scatter points, and noise that follows a link budget (R falls
-with ρ, p_D follows ρ), as ray-traced detections have it.
+`Situation` is the world as it is; what a filter knows is given to it separately, so that mismatch can be
+studied. Two kinds of noise: the paper's fixed R with a range limit for scatter points, and noise that
+follows a link budget (R falls with ρ, p_D follows ρ), as ray-traced detections have it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FixedNoise:
-    """R and p_D the same for all: standard deviations (6,) [m, rad ×4, m/s], SPs seen within `sp_range` [m]."""
+    """R and p_D the same for all: standard deviations (6,) [m, rad ×4, m/s], SPs seen within `sp_range`
+    [m].
+    """
 
     std: Array
     detection_probability: float = 0.9
@@ -83,7 +86,8 @@ class Situation:
             raise FilterError("Situation: kind and position must have one row per landmark, the BS first")
         if self.prior_mean.size != self.motion.dimension:
             raise FilterError(
-                f"Situation: prior_mean has {self.prior_mean.size} entries, the motion model {self.motion.dimension}"
+                f"Situation: prior_mean has {self.prior_mean.size} entries, "
+                f"the motion model {self.motion.dimension}"
             )
 
     def landmarks(self, kind: int) -> Array:
@@ -134,7 +138,8 @@ def unknown_motion(
 def generators(seed: int, run: int, scenario: int = 0) -> tuple[np.random.Generator, ...]:
     """Generators of track, detections and clutter of one run: independent of workers and order."""
     return tuple(
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scenario, run, component))) for component in range(3)
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scenario, run, component)))
+        for component in range(3)
     )
 
 
@@ -168,7 +173,9 @@ def _root(covariance: Array) -> Array:
 
 
 def noise_of(situation: Situation, states: Array) -> tuple[Array, Array, Array | None]:
-    """Measurement covariance (K, L, 6, 6), detection probability (K, L) and ρ (K, L) or None along a track."""
+    """Measurement covariance (K, L, 6, 6), detection probability (K, L) and ρ (K, L) or None along a
+    track.
+    """
     noise = situation.noise
     ue = positions(states, situation.height)[:, None]
     count = (len(states), len(situation.kind))
@@ -185,7 +192,9 @@ def noise_of(situation: Situation, states: Array) -> tuple[Array, Array, Array |
         covariance = np.diag(noise.unit_std**2) / np.maximum(snr, 1e-3)[..., None, None]
         probability = probability_from_snr(snr, noise.threshold)
     # A virtual anchor whose wall does not lie between it and the UE reflects nothing.
-    _, t, _ = incidence(ue, np.where((situation.kind == VA)[:, None], situation.position, situation.bs + 1), situation.bs)
+    _, t, _ = incidence(
+        ue, np.where((situation.kind == VA)[:, None], situation.position, situation.bs + 1), situation.bs
+    )
     blocked = (situation.kind == VA) & ((t <= 0) | (t >= 1))
     return covariance, np.where(blocked, 0.0, probability), snr
 
@@ -193,7 +202,9 @@ def noise_of(situation: Situation, states: Array) -> tuple[Array, Array, Array |
 def draw_scans(
     situation: Situation, states: Array, rng: np.random.Generator, clutter_rng: np.random.Generator
 ) -> Scans:
-    """Detections along a track, with misses and clutter, in random order within each scan; labels tell the truth."""
+    """Detections along a track, with misses and clutter, in random order within each scan; labels tell the
+    truth.
+    """
     covariance, probability, snr = noise_of(situation, states)
     steps, count = probability.shape
     exact = measure(
@@ -240,10 +251,14 @@ def draw_scans(
     )
 
 
-def _draw_clutter(situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array):
+def _draw_clutter(
+    situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array
+):
     """False detections uniform over the search volume, with a covariance borrowed from the noise model."""
     low = np.array([state[3], -np.pi, -np.pi / 2, -np.pi, -np.pi / 2, -situation.doppler_limit])
-    high = np.array([state[3] + situation.clutter_range, np.pi, np.pi / 2, np.pi, np.pi / 2, situation.doppler_limit])
+    high = np.array(
+        [state[3] + situation.clutter_range, np.pi, np.pi / 2, np.pi, np.pi / 2, situation.doppler_limit]
+    )
     z = rng.uniform(low, high, (count, 6))
     noise = situation.noise
     if isinstance(noise, FixedNoise):

@@ -1,10 +1,11 @@
 """Probability of detection: constant with a soft range for scatter points, or from the predicted SNR.
 
-Two models, one signature. `ConstantDetection` is the convention of paper A's figures: p_D for BS and VA everywhere, for
-SPs within a 3-D distance of the UE, softened by the uncertainty of that distance. `SnrDetection` is physical: with
-post-integration SNR ρ, a path is found with probability P(χ'²_{2+6}(2ρ) > 2·threshold), eight degrees of freedom since a
-peak is searched over a complex gain and six parameters. Each track learns its own SNR reference, ρ times the geometric
-spreading loss (BS, VA: d²; SP: d₁²·d₂²), from the ρ of its detections.
+Two models, one signature. `ConstantDetection` is the convention of paper A's figures: p_D for BS and VA
+everywhere, for SPs within a 3-D distance of the UE, softened by the uncertainty of that distance.
+`SnrDetection` is physical: with post-integration SNR ρ, a path is found with probability P(χ'²_{2+6}(2ρ) >
+2·threshold), eight degrees of freedom since a peak is searched over a complex gain and six parameters. Each
+track learns its own SNR reference, ρ times the geometric spreading loss (BS, VA: d²; SP: d₁²·d₂²), from the
+ρ of its detections.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ def probability_from_snr(snr: ArrayLike, threshold: float) -> Array:
 
 
 def spreading_loss(kind: ArrayLike, landmark: Array, ue: Array, bs: Array) -> Array:
-    """Geometric loss: squared distance to the anchor, or for an SP the product of both squared distances [m², m⁴].
+    """Geometric loss: squared distance to the anchor, or for an SP the product of both squared distances
+    [m², m⁴].
 
     Parameters
     ----------

@@ -1,6 +1,8 @@
-"""Compiled twins of `motion` and `measurement` for the filters' hot loops; tests hold them equal to the NumPy versions.
+"""Compiled twins of `motion` and `measurement` for the filters' hot loops; tests hold them equal to the
+NumPy versions.
 
-One landmark at a time, results written into arrays the caller owns. `site` is `(bs_x, bs_y, bs_z, height, speed)`.
+One landmark at a time, results written into arrays the caller owns. `site` is `(bs_x, bs_y, bs_z, height,
+speed)`.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ def wrap_angle(angle):
 
 @compiled
 def subtract(measured, predicted, by_landmark, by_state, out):
-    """out = measured - predicted, azimuths wrapped; rows without any Jacobian (an azimuth at a pole) give zero."""
+    """out = measured - predicted, azimuths wrapped; rows without any Jacobian (an azimuth at a pole) give
+    zero.
+    """
     for i in range(out.shape[0]):
         difference = measured[i] - predicted[i]
         if i == 1 or i == 3:
@@ -40,7 +44,9 @@ def subtract(measured, predicted, by_landmark, by_state, out):
 
 @compiled
 def _direction_rows(vx, vy, vz, row, z, gradient):
-    """Azimuth and elevation of a vector into z[row], z[row + 1], their gradients into gradient[0], gradient[1]."""
+    """Azimuth and elevation of a vector into z[row], z[row + 1], their gradients into gradient[0],
+    gradient[1].
+    """
     flat2 = vx * vx + vy * vy
     square = flat2 + vz * vz
     flat = math.sqrt(flat2)
@@ -62,7 +68,9 @@ def _direction_rows(vx, vy, vz, row, z, gradient):
 
 @compiled
 def predict_measurement(state, landmark, kind, site, z):
-    """h(x, s) of eqs. (3)-(12) into z[0:6]; returns False where a VA's incidence point does not lie on the path."""
+    """h(x, s) of eqs. (3)-(12) into z[0:6]; returns False where a VA's incidence point does not lie on the
+    path.
+    """
     rx = landmark[0] - state[0]
     ry = landmark[1] - state[1]
     rz = landmark[2] - site[3]
@@ -245,7 +253,9 @@ def propagate_state(state, interval, speed, rate, jacobian):
 
 @compiled
 def cholesky(matrix, size):
-    """Lower Cholesky factor of the leading (size, size) block in place; False if it is not positive definite."""
+    """Lower Cholesky factor of the leading (size, size) block in place; False if it is not positive
+    definite.
+    """
     for j in range(size):
         pivot = matrix[j, j]
         for k in range(j):

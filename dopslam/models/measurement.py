@@ -1,13 +1,13 @@
 """Measurement model h(x, s) of paper A, eqs. (3)-(12), and its analytic Jacobians (18)-(25), corrected.
 
-One measurement is `z = (c·τ + bias [m], AOA azimuth, AOA elevation, AOD azimuth, AOD elevation [rad], Doppler [m/s])`.
-AOA azimuth counts from the heading, AOD from the world's x axis; Doppler (a radial velocity) is positive when
-approaching. The kinds are BS = 0, VA = 1, SP = 2. All functions broadcast: K landmarks for the Kalman filter, K × N
-particles elsewhere.
+One measurement is `z = (c·τ + bias [m], AOA azimuth, AOA elevation, AOD azimuth, AOD elevation [rad],
+Doppler [m/s])`. AOA azimuth counts from the heading, AOD from the world's x axis; Doppler (a radial
+velocity) is positive when approaching. The kinds are BS = 0, VA = 1, SP = 2. All functions broadcast: K
+landmarks for the Kalman filter, K × N particles elsewhere.
 
-Departures from the paper, each with a test: delays are lengths (its eq. (4) is in seconds while Section V has metres);
-arcsin of a ratio in (7), (10); the signs of (19); the divisor of (24), which for a VA is the distance to the VA since the
-incidence point moves with the UE; the transposed Jacobian in (25).
+Departures from the paper, each with a test: delays are lengths (its eq. (4) is in seconds while Section V
+has metres); arcsin of a ratio in (7), (10); the signs of (19); the divisor of (24), which for a VA is the
+distance to the VA since the incidence point moves with the UE; the transposed Jacobian in (25).
 """
 
 from __future__ import annotations
@@ -71,9 +71,10 @@ def _angle_gradients(vector: Array) -> tuple[Array, Array]:
     square = _dot(vector, vector)
     flat = np.maximum(vector[..., 0] ** 2 + vector[..., 1] ** 2, 1e-12 * square)
     azimuth = np.stack([-vector[..., 1], vector[..., 0], np.zeros_like(flat)], axis=-1) / flat[..., None]
-    elevation = np.stack(
-        [-vector[..., 0] * vector[..., 2], -vector[..., 1] * vector[..., 2], flat], axis=-1
-    ) / (square * np.sqrt(flat))[..., None]
+    elevation = (
+        np.stack([-vector[..., 0] * vector[..., 2], -vector[..., 1] * vector[..., 2], flat], axis=-1)
+        / (square * np.sqrt(flat))[..., None]
+    )
     return azimuth, elevation
 
 
@@ -93,7 +94,9 @@ def _broadcast(state: Array, landmark: Array, kind: ArrayLike, bs: Array, speed:
 
 def _departure(ue: Array, landmark: Array, kind: Array, bs: Array) -> Array:
     is_va = (kind == VA)[..., None]
-    anchor = np.where(is_va, landmark, bs + 1.0)  # any point that keeps `incidence` finite where it is not used
+    anchor = np.where(
+        is_va, landmark, bs + 1.0
+    )  # any point that keeps `incidence` finite where it is not used
     point, _, _ = incidence(ue, anchor, bs)
     target = np.where((kind == BS)[..., None], ue, np.where(is_va, point, landmark))
     return target - bs

@@ -1,8 +1,8 @@
 """Coordinated-turn motion of the user equipment, paper A eq. (1), and its Jacobian.
 
 The state is `[x, y, heading, bias]` (m, m, rad, m) with speed and turn rate known, or
-`[x, y, heading, bias, speed, turn rate]` with both unknown (the paper's future work); the length of the state array
-decides. World frame, heading counted from the x axis; the clock bias is carried as a length c·b.
+`[x, y, heading, bias, speed, turn rate]` with both unknown (the paper's future work); the length of the
+state array decides. World frame, heading counted from the x axis; the clock bias is carried as a length c·b.
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ def _sinc_slope(x: Array) -> Array:
     """d/dx of sin(x)/x, with its series near zero where the quotient loses all digits."""
     small = np.abs(x) < 1e-2
     safe = np.where(small, 1.0, x)
-    return np.where(small, x * (-1 / 3 + x * x * (1 / 30 - x * x / 840)), (np.cos(safe) - np.sin(safe) / safe) / safe)
+    return np.where(
+        small, x * (-1 / 3 + x * x * (1 / 30 - x * x / 840)), (np.cos(safe) - np.sin(safe) / safe) / safe
+    )
 
 
 def transition_jacobian(state: Array, motion: CoordinatedTurn) -> Array:

@@ -1,7 +1,7 @@
 """Measurements as the filters read them: delays as lengths, one record for a whole run.
 
-The conversion from an estimator's delays in seconds to c·τ in metres happens here and nowhere else: with variances of
-1e-18 s² beside 1e4 m² every covariance form fails.
+The conversion from an estimator's delays in seconds to c·τ in metres happens here and nowhere else: with
+variances of 1e-18 s² beside 1e4 m² every covariance form fails.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Scans:
     Attributes
     ----------
     z : (N, 6) array
-        c·τ + bias [m], AOA az, AOA el, AOD az, AOD el [rad], radial velocity [m/s]; AOA azimuth from the heading,
-        AOD in world axes.
+        c·τ + bias [m], AOA az, AOA el, AOD az, AOD el [rad], radial velocity [m/s]; AOA azimuth from the
+        heading, AOD in world axes.
     covariance : (N, 6, 6) array
         R of every measurement.
     offsets : (K + 1,) int array
@@ -56,10 +56,13 @@ class Scans:
         n = len(self.z)
         if self.z.shape != (n, 6) or self.covariance.shape != (n, 6, 6):
             raise FilterError(
-                f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; expected (N, 6), (N, 6, 6)"
+                f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; "
+                "expected (N, 6), (N, 6, 6)"
             )
         if self.offsets[0] != 0 or self.offsets[-1] != n or np.any(np.diff(self.offsets) < 0):
-            raise FilterError(f"Scans.offsets must rise from 0 to {n}, got {self.offsets[0]} … {self.offsets[-1]}")
+            raise FilterError(
+                f"Scans.offsets must rise from 0 to {n}, got {self.offsets[0]} … {self.offsets[-1]}"
+            )
         if not (np.isfinite(self.z).all() and np.isfinite(self.covariance).all()):
             raise FilterError("Scans: z or covariance holds non-finite values; drop those measurements")
         if not (self.clutter_count > 0 and self.search_volume > 0 and self.doppler_span > 0):
@@ -70,7 +73,9 @@ class Scans:
         variances = np.einsum("nii->ni", self.covariance)
         if n and not (variances > 0).all():
             row = int(np.argmin(variances.min(axis=1)))
-            raise FilterError(f"Scans.covariance[{row}] has a variance ≤ 0: {variances[row]}; every component needs noise")
+            raise FilterError(
+                f"Scans.covariance[{row}] has a variance ≤ 0: {variances[row]}; every component needs noise"
+            )
 
     @property
     def steps(self) -> int:

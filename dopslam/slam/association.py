@@ -1,7 +1,7 @@
 """The γ best data associations: an optimal assignment and Murty's partition over it.
 
-Rows are measurements, columns are things a measurement can come from; every row must be assigned, columns may stay free.
-Forbidden pairs cost infinity.
+Rows are measurements, columns are things a measurement can come from; every row must be assigned, columns
+may stay free. Forbidden pairs cost infinity.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from dopslam.compiled import compiled
 def _augment(cost, row_of, u, v, row):
     """Dijkstra from `row` to the nearest free column over reduced costs.
 
-    Returns the path's length (infinity if there is none), its last column, and the distances, predecessors and settled
-    columns that the dual update needs.
+    Returns the path's length (infinity if there is none), its last column, and the distances, predecessors
+    and settled columns that the dual update needs.
     """
     columns = cost.shape[1]
     distance = np.full(columns, np.inf)
@@ -107,15 +107,15 @@ def k_best(cost, k, slack):
     if rows == 0 or best == np.inf:
         totals[0] = 0.0 if rows == 0 else np.inf
         return totals[: 1 if rows == 0 else 0], solutions[: 1 if rows == 0 else 0]
-    # Candidates: cost, solution, the rows fixed in their parent (a prefix) and the pairs forbidden so far. Never more
-    # are stored than can still be asked for.
+    # Candidates: cost, solution, the rows fixed in their parent (a prefix) and the pairs forbidden so far.
+    # Never more are stored than can still be asked for.
     room = k + rows
     candidate_total = np.full(room, np.inf)
     candidate = np.empty((room, rows), dtype=np.int64)
     prefix = np.zeros(room, dtype=np.int64)
     forbidden = np.zeros((room, rows, columns), dtype=np.bool_)
-    # cost - u - v with the root's duals: what a pair adds to the best total at least, so that most children are
-    # dismissed without solving them.
+    # cost - u - v with the root's duals: what a pair adds to the best total at least, so that most children
+    # are dismissed without solving them.
     reduced = np.empty((rows, columns))
     for i in range(rows):
         for j in range(columns):

@@ -1,8 +1,9 @@
-"""New landmarks from single measurements: closed-form start, Gauss-Newton, and the birth integral by Laplace's method.
+"""New landmarks from single measurements: closed-form start, Gauss-Newton, and the birth integral by
+Laplace's method.
 
 With R̃ = R + A P_s Aᵀ, the term of type m in ρ^new is
-p_D λ (2π)^{(3 - m_z)/2} |R̃|^{-1/2} |BᵀR̃⁻¹B|^{-1/2} exp(-χ²_min/2): the residual of the m_z - 3 redundant rows rejects
-clutter. It does not tell types: every SP has a VA twin with the same measurement.
+p_D λ (2π)^{(3 - m_z)/2} |R̃|^{-1/2} |BᵀR̃⁻¹B|^{-1/2} exp(-χ²_min/2): the residual of the m_z - 3 redundant
+rows rejects clutter. It does not tell types: every SP has a VA twin with the same measurement.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ def log_spreading(kind, landmark, state, site):
 
 @compiled
 def starting_point(z, state, kind, site, x):
-    """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the direct one.
+    """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the
+    direct one.
 
-    VA: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits; their mean.
+    VA: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
+    their mean.
     """
     length = z[0] - state[3]
     wx, wy, wz = site[0] - state[0], site[1] - state[1], site[2] - site[3]
@@ -183,13 +186,18 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
             white[j, c] = value / factor[j, j]
     for i in range(3):
         for j in range(m):
-            gain[i, j] = covariance[i, 0] * white[j, 0] + covariance[i, 1] * white[j, 1] + covariance[i, 2] * white[j, 2]
+            gain[i, j] = (
+                covariance[i, 0] * white[j, 0]
+                + covariance[i, 1] * white[j, 1]
+                + covariance[i, 2] * white[j, 2]
+            )
     return True, chi2, log_volume
 
 
 @compiled
 def visible_share(x, spread, state, kind, model):
-    """Φ((range - d)/σ_d): the share of an SP's distance density that lies within the SP range; 1 for other kinds.
+    """Φ((range - d)/σ_d): the share of an SP's distance density that lies within the SP range; 1 for other
+    kinds.
 
     `spread` is the covariance (3, 3) of the vector from the UE to the landmark.
     """
@@ -207,7 +215,9 @@ def visible_share(x, spread, state, kind, model):
 
 @compiled
 def undetected_intensity(x, spread, kind, reference, density, model):
-    """λ^m(x) before this scan: λ ← p_S (1 - p_D(x)) λ + λ_B over the UE's trail, or constant without thinning."""
+    """λ^m(x) before this scan: λ ← p_S (1 - p_D(x)) λ + λ_B over the UE's trail, or constant without
+    thinning.
+    """
     start = model.intensity[kind - VA]
     born = model.birth_intensity[kind - VA]
     if not model.thinning:
@@ -271,7 +281,9 @@ def new_hypotheses(density, n, scan, local, model):
             if not valid or not chi2 < REDUNDANT_LIMIT:
                 continue
             reference = scan.log_snr[p] + log_spreading(kind, x, state, model.site)
-            detected = look_up(model.table, scan.log_snr[p]) * visible_share(x, covariance, state, kind, model)
+            detected = look_up(model.table, scan.log_snr[p]) * visible_share(
+                x, covariance, state, kind, model
+            )
             intensity = undetected_intensity(x, covariance, kind, reference, density, model)
             if detected * intensity <= 0.0:
                 continue

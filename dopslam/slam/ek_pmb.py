@@ -1,7 +1,8 @@
 """The EK-PMB SLAM filter of paper A, Section IV: one recursion, two densities.
 
-`step` reads as the paper's block diagram. The paper's filter (`joint=False`) keeps only the marginals of UE and map after
-each step, (31)-(32), and becomes overconfident; ours (`joint=True`, default) keeps one Gaussian over UE and landmarks.
+`step` reads as the paper's block diagram. The paper's filter (`joint=False`) keeps only the marginals of UE
+and map after each step, (31)-(32), and becomes overconfident; ours (`joint=True`, default) keeps one
+Gaussian over UE and landmarks.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Info(NamedTuple):
     ----------
     weight : (g,) array; normalized weights of the γ best associations
     track : (g, M) int array; track number of each measurement, -1 for the BS, -2 for new or clutter
-    existence : (M,) array; predicted existence of the track that the likeliest association gives each measurement
-    nis : float; νᵀS⁻¹ν of the likeliest association
+    existence : (M,) array; predicted existence of the track that the likeliest association gives each
+    measurement nis : float; νᵀS⁻¹ν of the likeliest association
     rows : int; its degrees of freedom
     """
 
@@ -105,10 +106,9 @@ def predict(density, model):
 def worth_updating(associations, negligible):
     """The associations above `negligible` times the best weight, renormalized."""
     keep = 0
-    while (
-        keep < associations.log_weight.shape[0]
-        and associations.log_weight[keep] >= associations.log_weight[0] + math.log(negligible)
-    ):
+    while keep < associations.log_weight.shape[0] and associations.log_weight[
+        keep
+    ] >= associations.log_weight[0] + math.log(negligible):
         keep += 1
     return Associations(normalize_weights(associations.log_weight[:keep]), associations.track[:keep])
 
@@ -130,14 +130,19 @@ def prune(density, threshold):
 
 @compiled
 def name_tracks(prior, local, associations, final_log_weight):
-    """Diagnostics: weights (the updated ones first), track numbers and existence."""
-    weight = np.exp(associations.log_weight)
+    """Diagnostics: weights (the likeliest association first), track numbers and existence."""
+    count = associations.track.shape[1]
+    weight = np.empty(associations.log_weight.shape[0])
     kept = final_log_weight.shape[0]
-    mass = weight[:kept].sum()
+    mass = 0.0
+    for a in range(weight.shape[0]):
+        weight[a] = math.exp(associations.log_weight[a])
+        mass += weight[a] if a < kept else 0.0
+    best = 0
     for a in range(kept):
         weight[a] = mass * math.exp(final_log_weight[a])
-    best = np.argmax(weight)
-    count = associations.track.shape[1]
+        if weight[a] > weight[best]:
+            best = a
     track = np.full(associations.track.shape, NO_TRACK)
     existence = np.zeros(count)
     for p in range(count):
@@ -149,8 +154,11 @@ def name_tracks(prior, local, associations, final_log_weight):
         if t >= 0:
             for b in range(local.first[t], local.first[t + 1]):
                 existence[p] += prior.weight[b]
-    order = np.argsort(-weight)
-    return weight[order], track[order], existence
+    if best > 0:
+        for p in range(count):
+            track[0, p], track[best, p] = track[best, p], track[0, p]
+        weight[0], weight[best] = weight[best], weight[0]
+    return weight, track, existence
 
 
 @compiled
@@ -169,9 +177,7 @@ def step(posterior, scan, model):
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
     associations = best_associations(local, log_new, model)
     chosen = worth_updating(associations, model.negligible)
-    updated, log_weight, nis, rows = update(
-        prior, n, local, scan, chosen, log_term, log_new, position, model
-    )
+    updated, log_weight, nis, rows = update(prior, n, local, scan, chosen, log_term, log_new, position, model)
     weight, track, existence = name_tracks(prior, local, associations, log_weight)
     return prune(updated, model.prune), Info(weight, track, existence, nis, rows)
 
@@ -183,7 +189,7 @@ class Diagnostics:
     Attributes
     ----------
     nis, nis_rows : (K,) arrays; νᵀS⁻¹ν of the likeliest association and its degrees of freedom
-    weights : K arrays (g,); normalized association weights, largest first
+    weights : K arrays (g,); normalized association weights, the likeliest first
     associations : K arrays (g, M); track of each measurement, -1 the BS, -2 new or clutter
     existence : K arrays (M,); predicted existence of the track each measurement went to
     """
@@ -274,11 +280,13 @@ def extract(posterior: PMB) -> tuple[Array, Array, Array, Array, NDArray[np.int6
 def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array) -> None:
     """Refuse what cannot be filtered, with a remedy."""
     if model.use_snr and scans.snr is None:
-        raise FilterError("detection model 'snr' needs Scans.snr; give the ρ of each detection or use ConstantDetection")
+        raise FilterError(
+            "detection model 'snr' needs Scans.snr; give the ρ of each detection or use ConstantDetection"
+        )
     if model.process_noise.shape[0] != np.size(mean):
         raise FilterError(
-            f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; use 4 for known "
-            "and 6 for unknown speed and turn rate in both"
+            f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; "
+            "use 4 for known and 6 for unknown speed and turn rate in both"
         )
 
 
@@ -319,7 +327,9 @@ def run(
         try:
             posterior, info = step(posterior, scan_of(scans, k, parameters.doppler), model)
         except ValueError as error:
-            raise FilterError(f"step {k}: {error}; check the measurement covariances and the prior") from error
+            raise FilterError(
+                f"step {k}: {error}; check the measurement covariances and the prior"
+            ) from error
         posteriors.append(posterior)
         infos.append(info)
     return collect(posteriors), diagnose(infos)

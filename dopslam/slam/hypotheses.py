@@ -1,7 +1,9 @@
-"""Local hypotheses and their global combinations: what each measurement may come from, and the γ best ways at once.
+"""Local hypotheses and their global combinations: what each measurement may come from, and the γ best ways
+at once.
 
-Weights are kept as logarithms. A detected track costs -ln(ρ^{i,p}/ρ^{i,0}), a measurement that is new or clutter
--ln ρ^{new,p} in a column of its own, so that the cost of an association is minus its log-weight up to a constant.
+Weights are kept as logarithms. A detected track costs -ln(ρ^{i,p}/ρ^{i,0}), a measurement that is new or
+clutter -ln ρ^{new,p} in a column of its own, so that the cost of an association is minus its log-weight up
+to a constant.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Local(NamedTuple):
 
 
 class Associations(NamedTuple):
-    """The γ best data associations: log-weights (normalized) and the track of each measurement, -1 where new."""
+    """The γ best data associations: log-weights (normalized) and the track of each measurement, -1 where
+    new.
+    """
 
     log_weight: Array
     track: NDArray[np.int64]
@@ -82,12 +86,16 @@ def detection_probability(density, n, block, model):
     if block == 0:
         if density.detections[0] == 0.0 and model.use_snr:
             return model.table[-1]
-        return look_up(model.table, density.reference[0] - log_spreading(0, density.mean, density.mean, model.site))
+        return look_up(
+            model.table, density.reference[0] - log_spreading(0, density.mean, density.mean, model.site)
+        )
     start = start_of(n, block)
     x = density.mean[start : start + 3]
     kind = density.kind[block]
     share = visible_share(x, relative_spread(density.covariance, n, block), density.mean, kind, model)
-    return share * look_up(model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site))
+    return share * look_up(
+        model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site)
+    )
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Linearization of one measurement around a Gaussian: Taylor (EK) or cubature points, one signature.
 
-Both return h(s, x) ≈ ẑ + A (s - ŝ) + B (x - x̂) + e, e ~ N(0, Ω); Taylor has Ω = 0. Iterating means calling it again
-around the updated Gaussian.
+Both return h(s, x) ≈ ẑ + A (s - ŝ) + B (x - x̂) + e, e ~ N(0, Ω); Taylor has Ω = 0. Iterating means calling
+it again around the updated Gaussian.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from dopslam.slam.pmb import start_of
 
 @compiled
 def linearize_block(mean, covariance, n, block, kind, model, z, by_state, by_landmark, extra):
-    """ẑ, A, B, Ω of one block (0 for the BS) into `z`, `by_state`, `by_landmark`, `extra`; False if no path exists."""
+    """ẑ, A, B, Ω of one block (0 for the BS) into `z`, `by_state`, `by_landmark`, `extra`; False if no path
+    exists.
+    """
     state = mean[:n]
     landmark = mean[start_of(n, block) : start_of(n, block) + 3] if block > 0 else mean[:3]
     valid = linearize(state, landmark, kind, model.site, z, by_state, by_landmark)

@@ -1,9 +1,10 @@
 """The Poisson multi-Bernoulli density of UE and map, and the parameters the recursion needs.
 
-Records that cross into compiled code are named tuples. One Gaussian over `[s; x_1; …; x_H]` holds the UE and every
-landmark hypothesis; cross-covariances are kept (`joint`) or dropped after each step (`marginal`, the paper's
-(31)-(32)). A *block* is one type hypothesis (VA or SP) of a *track* (a Bernoulli component): siblings share a track
-number and lie side by side. Block 0 is the base station: known, always existing, without state.
+Records that cross into compiled code are named tuples. One Gaussian over `[s; x_1; …; x_H]` holds the UE and
+every landmark hypothesis; cross-covariances are kept (`joint`) or dropped after each step (`marginal`, the
+paper's (31)-(32)). A *block* is one type hypothesis (VA or SP) of a *track* (a Bernoulli component):
+siblings share a track number and lie side by side. Block 0 is the base station: known, always existing,
+without state.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ class Scan(NamedTuple):
     z : (M, m) array
     covariance : (M, m, m) array
     log_snr : (M,) array; natural log of ρ, zeros where unknown
-    first : int; number of the first measurement in the whole run; a track is named by the measurement that bore it
-    clutter : float; clutter intensity c(z)
+    first : int; number of the first measurement in the whole run; a track is named by the measurement that
+    bore it clutter : float; clutter intensity c(z)
     """
 
     z: Array
@@ -117,7 +118,8 @@ class FilterParameters:
     cubature : bool
         Statistical linearization with cubature points instead of Jacobians in the update.
     reweight : bool
-        Weight the γ associations by the evidence of the joint update instead of products of single likelihoods.
+        Weight the γ associations by the evidence of the joint update instead of products of single
+        likelihoods.
     associations : int
         γ, the data associations kept per step (and per prior hypothesis).
     gate : float
@@ -129,8 +131,8 @@ class FilterParameters:
     birth_intensity : (VA, SP)
         λ_B added every step [m⁻³].
     thinning : bool
-        λ ← (1 - p_D) λ inside the field of view after each scan; False keeps it constant, the convention of the
-        reference figures.
+        λ ← (1 - p_D) λ inside the field of view after each scan; False keeps it constant, the convention of
+        the reference figures.
     prune : float
         Blocks below this weight are dropped.
     existence_limit : float
@@ -162,12 +164,15 @@ class FilterParameters:
     def __post_init__(self) -> None:
         if self.associations < 1 or self.iterations < 1:
             raise FilterError(
-                f"FilterParameters: associations ({self.associations}) and iterations ({self.iterations}) must be ≥ 1"
+                f"FilterParameters: associations ({self.associations}) and iterations ({self.iterations}) "
+                "must be ≥ 1"
             )
         if not 0 < self.survival <= 1:
             raise FilterError(f"FilterParameters.survival is {self.survival}; it must lie in (0, 1]")
         if not (self.gate > 0 and min(self.intensity) > 0 and min(self.birth_intensity) >= 0):
-            raise FilterError("FilterParameters: gate and intensity must be positive, birth_intensity not negative")
+            raise FilterError(
+                "FilterParameters: gate and intensity must be positive, birth_intensity not negative"
+            )
 
 
 def compile_model(
@@ -215,7 +220,9 @@ def initial_density(mean: Array, covariance: Array) -> PMB:
     mean = np.ascontiguousarray(mean, dtype=float)
     covariance = np.ascontiguousarray(covariance, dtype=float)
     if covariance.shape != (mean.size, mean.size) or mean.size not in (4, 6):
-        raise FilterError(f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n = 4 or 6")
+        raise FilterError(
+            f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n = 4 or 6"
+        )
     return PMB(
         mean=mean,
         covariance=covariance,

@@ -1,4 +1,6 @@
-"""The joint update of one data association, and the projection of all of them onto one Gaussian (PMBM to PMB)."""
+"""The joint update of one data association, and the projection of all of them onto one Gaussian (PMBM to
+PMB).
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ def workspace(m, n, size):
 
 @compiled
 def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, work):
-    """Whiten one innovation linearized at `point` (its Gaussian `around`, for cubature); ln N(ν; 0, S) and νᵀS⁻¹ν.
+    """Whiten one innovation linearized at `point` (its Gaussian `around`, for cubature); ln N(ν; 0, S) and
+    νᵀS⁻¹ν.
 
     Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
     """
@@ -104,7 +107,9 @@ def _absorb(mean, covariance, work):
 
 @compiled
 def _absorb_block(mean, covariance, n, block, work):
-    """The same for one landmark block alone; the UE and all others stay, their cross-covariances with it follow."""
+    """The same for one landmark block alone; the UE and all others stay, their cross-covariances with it
+    follow.
+    """
     m = work.nu.shape[0]
     size = mean.shape[0]
     start = start_of(n, block)
@@ -135,8 +140,8 @@ def likeliest_block(local, p, t):
 def joint_update(density, n, local, scan, association, model, work):
     """One EKF update of `[s; x_1; …]` with all measurements a data association gives to tracks.
 
-    The stacked update is done measurement by measurement at one common linearization point, which is the same thing
-    since R is block diagonal; iterating moves that point to the updated mean.
+    The stacked update is done measurement by measurement at one common linearization point, which is the
+    same thing since R is block diagonal; iterating moves that point to the updated mean.
 
     Returns
     -------
@@ -158,13 +163,25 @@ def joint_update(density, n, local, scan, association, model, work):
                 continue
             b = likeliest_block(local, p, t)
             d, e = _innovate(
-                scan.z[p], scan.covariance[p], mean, covariance, n, b, density.kind[b], point, around, model, work
+                scan.z[p],
+                scan.covariance[p],
+                mean,
+                covariance,
+                n,
+                b,
+                density.kind[b],
+                point,
+                around,
+                model,
+                work,
             )
             if iteration == 0:
                 distance += d
                 evidence += e
             _absorb(mean, covariance, work)
-    for p in range(count):  # siblings of the other type: an update of their own, the UE has used the measurement
+    for p in range(
+        count
+    ):  # siblings of the other type: an update of their own, the UE has used the measurement
         t = association[p]
         if t < 1:
             continue
@@ -172,7 +189,17 @@ def joint_update(density, n, local, scan, association, model, work):
         for b in range(local.first[t], local.first[t + 1]):
             if b != used and local.log_detected[p, b] > -np.inf:
                 _innovate(
-                    scan.z[p], scan.covariance[p], mean, covariance, n, b, density.kind[b], mean, covariance, model, work
+                    scan.z[p],
+                    scan.covariance[p],
+                    mean,
+                    covariance,
+                    n,
+                    b,
+                    density.kind[b],
+                    mean,
+                    covariance,
+                    model,
+                    work,
                 )
                 _absorb_block(mean, covariance, n, b, work)
     return mean, covariance, distance, evidence
@@ -180,7 +207,9 @@ def joint_update(density, n, local, scan, association, model, work):
 
 @compiled
 def weights_after(density, local, scan, association, model, weight, reference, detections):
-    """Block weights r'μ', SNR references and detection counts of the existing tracks after one association."""
+    """Block weights r'μ', SNR references and detection counts of the existing tracks after one
+    association.
+    """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
         weight[b] = density.weight[b]
@@ -209,8 +238,8 @@ def weights_after(density, local, scan, association, model, weight, reference, d
 def give_birth(mean, covariance, n, size, blocks, scan, measurement, kinds, association, start, model):
     """Append the newborn blocks of one association; `mean` and `covariance` have room for them beyond `size`.
 
-    With G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹ the newborn's error is -G(A e_s + ε): its covariance with the UE and every landmark is -G A P_s·
-    and between two births G A P_s AᵀGᵀ. The UE itself stays as it is.
+    With G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹ the newborn's error is -G(A e_s + ε): its covariance with the UE and every
+    landmark is -G A P_s· and between two births G A P_s AᵀGᵀ. The UE itself stays as it is.
     """
     m = scan.z.shape[0] if scan.z.shape[0] == 0 else scan.z.shape[1]
     gain, own = np.empty((3, m)), np.empty((3, 3))
@@ -259,8 +288,8 @@ def give_birth(mean, covariance, n, size, blocks, scan, measurement, kinds, asso
 def moment_match(log_weight, means, covariances, weights, n):
     """Moments of a mixture in which block b of component a has existence weights[a, b].
 
-    Blocks use weights conditional on their existence, w_ab ∝ w_a β_ab; the Gram form Σ_a √(w_ai w_aj)(P_a + δδᵀ) keeps
-    the whole matrix positive semidefinite.
+    Blocks use weights conditional on their existence, w_ab ∝ w_a β_ab; the Gram form Σ_a √(w_ai w_aj)(P_a +
+    δδᵀ) keeps the whole matrix positive semidefinite.
     """
     components, size = means.shape
     blocks = weights.shape[1]

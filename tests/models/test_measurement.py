@@ -48,7 +48,9 @@ def test_jacobians_match_central_differences(size):
 
 
 def test_translation_invariance_of_arrival_and_doppler():
-    """Moving UE and landmark together changes neither the arrival angles nor the Doppler (the BS does not move)."""
+    """Moving UE and landmark together changes neither the arrival angles nor the Doppler (the BS does not
+    move).
+    """
     state, landmark, kind = draw(np.random.default_rng(2), 300)
     by_state, by_landmark = jacobians(state, landmark, kind, BS_POSITION, speed=SPEED)
     free = kind != BS
@@ -90,7 +92,9 @@ def test_broadcasts_landmarks_against_particles():
     z = measure(particles, landmark[:, None], kind[:, None], BS_POSITION, speed=SPEED)
     by_state, by_landmark = jacobians(particles, landmark[:, None], kind[:, None], BS_POSITION, speed=SPEED)
     assert z.shape == (4, 7, 6) and by_state.shape == (4, 7, 6, 4) and by_landmark.shape == (4, 7, 6, 3)
-    np.testing.assert_array_equal(z[2, 3], measure(particles[3], landmark[2], kind[2], BS_POSITION, speed=SPEED))
+    np.testing.assert_array_equal(
+        z[2, 3], measure(particles[3], landmark[2], kind[2], BS_POSITION, speed=SPEED)
+    )
 
 
 def test_doppler_is_minus_the_rate_of_the_path_length():
@@ -102,7 +106,9 @@ def test_doppler_is_minus_the_rate_of_the_path_length():
     earlier[:, :2] -= step
     lengths = [measure(s, landmark, kind, BS_POSITION, speed=SPEED)[:, 0] for s in (later, earlier)]
     rate = (lengths[0] - lengths[1]) / (2 * dt)
-    np.testing.assert_allclose(-rate, measure(state, landmark, kind, BS_POSITION, speed=SPEED)[:, 5], atol=1e-4)
+    np.testing.assert_allclose(
+        -rate, measure(state, landmark, kind, BS_POSITION, speed=SPEED)[:, 5], atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("size", [4, 6])

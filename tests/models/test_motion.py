@@ -13,12 +13,9 @@ def test_follows_the_integrated_turn(rate):
     state = np.array([70.0, -3.0, 1.1, 300.0])
     t = (np.arange(20000) + 0.5) / 20000 * motion.interval
     heading = state[2] + rate * t
-    expected = state + [
-        motion.speed * np.cos(heading).mean() * motion.interval,
-        motion.speed * np.sin(heading).mean() * motion.interval,
-        rate * motion.interval,
-        0.0,
-    ]
+    step = [np.cos(heading).mean(), np.sin(heading).mean()]
+    moved = motion.speed * motion.interval * np.array(step)
+    expected = state + np.array([*moved, rate * motion.interval, 0.0])
     np.testing.assert_allclose(propagate(state, motion), expected, atol=1e-7)
 
 
@@ -31,19 +28,24 @@ def test_jacobian_and_twin(n, rate):
     jacobian = transition_jacobian(state, motion)
     h = 1e-6
     numeric = np.stack(
-        [(propagate(state + h * e, motion) - propagate(state - h * e, motion)) / (2 * h) for e in np.eye(n)], axis=-1
+        [(propagate(state + h * e, motion) - propagate(state - h * e, motion)) / (2 * h) for e in np.eye(n)],
+        axis=-1,
     )
     np.testing.assert_allclose(jacobian, numeric, atol=2e-8)
     twin = np.empty((n, n))
     np.testing.assert_allclose(
-        kernels.propagate_state(state, motion.interval, motion.speed, rate, twin), propagate(state, motion), rtol=1e-13
+        kernels.propagate_state(state, motion.interval, motion.speed, rate, twin),
+        propagate(state, motion),
+        rtol=1e-13,
     )
     np.testing.assert_allclose(twin, jacobian, rtol=1e-9, atol=1e-12)
 
 
 def test_velocity_has_the_speed_of_the_state():
     motion = CoordinatedTurn(0.5, np.eye(6))
-    np.testing.assert_allclose(velocity(np.array([0, 0, np.pi / 2, 0, 3.0, 0.1]), motion), [0, 3, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        velocity(np.array([0, 0, np.pi / 2, 0, 3.0, 0.1]), motion), [0, 3, 0], atol=1e-12
+    )
 
 
 def test_wrong_noise_is_refused():
