@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from dopslam import metrics
+from dopslam.bounds import Bound
+from dopslam.config import Scenario
 from dopslam.models.measurement import residual
 from dopslam.models.scans import CLUTTER, Scans
-from dopslam.records import SPEED_OF_LIGHT, Kind, Landmarks, Track
+from dopslam.records import Kind, Landmarks, Track
+from dopslam.slam.ek_pmb import History
 
 ASSOCIATION_GATE = 100.0  # squared Mahalanobis distance (6 degrees of freedom) beyond which a detection is false
 
@@ -83,33 +87,12 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
     return label
 
 
-def exact_measurements(track: Track, paths, yaw: float, wavelength: float) -> np.ndarray:
-    """Noise-free measurements (M, 6) of traced paths in the filters' units."""
-    step = np.repeat(np.arange(paths.steps), np.diff(paths.offsets))
-    z = np.column_stack([
-        paths.tau * SPEED_OF_LIGHT + track.bias[step],
-        paths.phi_r - track.heading[step], np.pi / 2 - paths.theta_r,
-        paths.phi_t, np.pi / 2 - paths.theta_t,
-        paths.doppler * wavelength,
-    ])  # fmt: skip
-    z[:, [1, 3]] = (z[:, [1, 3]] + np.pi) % (2 * np.pi) - np.pi
-    return z
-
-
-def state_errors(track: Track, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed errors (K, 4) of the state, heading wrapped, and their NEES (K,)."""
-    error = mean[:, :4] - track.state
-    error[:, 2] = (error[:, 2] + np.pi) % (2 * np.pi) - np.pi
-    nees = np.einsum("ki,ki->k", error, np.linalg.solve(covariance[:, :4, :4], error[..., None])[..., 0])
-    return error, nees
-
-
-def landmark_errors(landmarks: Landmarks, history, threshold: float) -> np.ndarray:
+def landmark_errors(landmarks: Landmarks, history: History, threshold: float) -> np.ndarray:
     """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if missed."""
     found = np.full(len(landmarks), np.inf)
     found[landmarks.kind == Kind.BS] = 0.0
     for kind in (Kind.VA, Kind.SP):
-        true = np.flatnonzero(landmarks.kind == kind)
+        true = np.flatnonzero((landmarks.kind == kind) & (landmarks.order <= 1))
         estimated = history.reported(history.steps - 1, kind, threshold)
         distance = np.linalg.norm(landmarks.position[true][:, None] - estimated[None], axis=-1)
         for i, j in zip(*linear_sum_assignment(distance), strict=True):
@@ -117,16 +100,46 @@ def landmark_errors(landmarks: Landmarks, history, threshold: float) -> np.ndarr
     return found
 
 
+def evaluate_run(scenario: Scenario, track: Track, landmarks: Landmarks, history: History, bound: Bound) -> Evaluation:
+    """Errors of a filter's history beside the bound of the same run.
+
+    The map is judged over the landmarks that the measurement model describes: scatter points and virtual anchors of one
+    reflection; those of higher order are listed in the summary but can be neither found nor missed.
+    """
+    error = metrics.state_errors(history.mean[:, :4], track.state)
+    settings, threshold = scenario.evaluation, scenario.filter.report_existence
+    simple = landmarks.order <= 1
+
+    def gospa(kind: Kind) -> np.ndarray:
+        true = landmarks.position[(landmarks.kind == kind) & simple]
+        return np.array([
+            metrics.gospa(
+                true, history.reported(k, kind, threshold), settings.gospa_cutoff, settings.gospa_order
+            ).distance
+            for k in range(history.steps)
+        ])  # fmt: skip
+
+    return Evaluation(
+        position_error=np.hypot(error[:, 0], error[:, 1]),
+        heading_error=error[:, 2],
+        bias_error=error[:, 3],
+        peb=bound.peb,
+        heb=bound.heb,
+        ceb=bound.ceb,
+        nees=metrics.nees(error, history.covariance[:, :4, :4]),
+        gospa_va=gospa(Kind.VA),
+        gospa_sp=gospa(Kind.SP),
+        found=landmark_errors(landmarks, history, threshold),
+    )
+
+
 def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float) -> dict:
     """The figures of ``summary.json``; keys carry their units."""
-    within = evaluation.found <= found_radius
-    counts = {
-        f"{label}_found": {
-            "found": int(np.sum(within & (landmarks.kind == kind))),
-            "of": int(np.sum(landmarks.kind == kind)),
-        }
-        for label, kind in (("va", Kind.VA), ("sp", Kind.SP))
-    }
+    within, simple = evaluation.found <= found_radius, landmarks.order <= 1
+    counts = {}
+    for label, kind in (("va", Kind.VA), ("sp", Kind.SP)):
+        chosen = simple & (landmarks.kind == kind)
+        counts[f"{label}_found"] = {"found": int(np.sum(within & chosen)), "of": int(np.sum(chosen))}
     return {
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),
@@ -140,8 +153,9 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
         **counts,
         "landmark_error_m": {
             str(name): (float(error) if np.isfinite(error) else None)
-            for name, error, kind in zip(landmarks.name, evaluation.found, landmarks.kind, strict=True)
-            if kind != Kind.BS
+            for name, error, kind, one in zip(landmarks.name, evaluation.found, landmarks.kind, simple, strict=True)
+            if kind != Kind.BS and one
         },
+        "higher_order_va": [str(name) for name in landmarks.name[~simple]],
         "nees": float(np.mean(evaluation.nees)),
     }

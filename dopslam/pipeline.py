@@ -15,9 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import build, dataset, radio
+from dopslam import build, dataset, matching, radio
 from dopslam import simulate as simulate_module
+from dopslam.bounds import Bound, detection_mask, pcrb
 from dopslam.config import Scenario, parse
+from dopslam.evaluation import true_association
+from dopslam.models.measurement import measure
+from dopslam.models.scans import CLUTTER
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
 from dopslam.slam import ek_pmb
 from dopslam.slam.ek_pmb import History
@@ -300,3 +304,57 @@ def slam(scenario: Scenario, detections: DetectionSeries, density: str | None = 
         scenario.receiver.height,
     )
     return history
+
+
+def landmark_of_detections(
+    scenario: Scenario, track: Track, landmarks: Landmarks, paths: Paths | None, detections: DetectionSeries
+) -> np.ndarray:
+    """(N,) landmark that each detection stems from by the truth, −1 for false ones; for bounds and evaluation only."""
+    if paths is not None:
+        matches = matching.match_series(scenario, track, paths, detections)
+        return matching.true_landmarks(matches, paths, detections)
+    count = len(landmarks)
+    exact = measure(
+        track.state[:, None], landmarks.position, landmarks.kind, np.array(scenario.base_station.position),
+        speed=scenario.track.speed, height=scenario.receiver.height,
+    )  # fmt: skip
+    return true_association(
+        build.scans(scenario, detections),
+        exact.reshape(-1, 6),
+        count * np.arange(track.steps + 1),
+        np.tile(np.arange(count), track.steps),
+    )
+
+
+def bound(
+    scenario: Scenario,
+    track: Track,
+    landmarks: Landmarks,
+    paths: Paths | None,
+    detections: DetectionSeries,
+    doppler: bool = True,
+) -> Bound:
+    """PCRB (17) at the true track with the R and the detections of this run and the true association.
+
+    Paths of higher order carry no information here, as for the filters: the measurement model does not describe them.
+    """
+    scans = build.scans(scenario, detections)
+    label = landmark_of_detections(scenario, track, landmarks, paths, detections)
+    label[landmarks.order[label] > 1] = CLUTTER
+    covariance = np.broadcast_to(np.eye(6), (track.steps, len(landmarks), 6, 6)).copy()
+    step = np.repeat(np.arange(scans.steps), np.diff(scans.offsets))
+    real = label >= 0
+    covariance[step[real], label[real]] = scans.covariance[real]
+    return pcrb(
+        track.state,
+        track.start,
+        build.prior(scenario)[1],
+        build.motion(scenario),
+        landmarks.position,
+        landmarks.kind.astype(np.int64),
+        covariance,
+        detection_mask(label, scans.offsets, len(landmarks)),
+        np.array(scenario.base_station.position),
+        height=scenario.receiver.height,
+        doppler=doppler,
+    )

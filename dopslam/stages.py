@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dopslam import dataset, pipeline
+from dopslam import dataset, matching, pipeline
+from dopslam.bounds import Bound
 from dopslam.config import Scenario, override, parse
 from dopslam.errors import DatasetError
+from dopslam.evaluation import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.report import figures, folder, tables
 from dopslam.slam.ek_pmb import History
 
 
@@ -90,12 +93,16 @@ def _group(kind: str, name: str) -> str:
     return f"{kind}_{name.replace(', ', '_').replace(' ', '_').lower()}"
 
 
+def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
+    """The detections with the model source's noise added where the scenario asks for it."""
+    wanted = scenario.source.kind == "traced" and scenario.source.traced.added_noise == "model"
+    return pipeline.blur(scenario, detections, seed) if wanted else detections
+
+
 def slam(path: Path, settings=(), density: str | None = None, doppler: bool = True) -> str:
     """Add the history of one filter variant; returns its name."""
     scenario, seed = scenario_of(path, settings)
-    detections = read_detections(path)
-    if scenario.source.kind == "traced" and scenario.source.traced.added_noise == "model":
-        detections = pipeline.blur(scenario, detections, seed)
+    detections = blurred(scenario, read_detections(path), seed)
     history = pipeline.slam(scenario, detections, density, doppler)
     name = variant_name(density or scenario.filter.density, doppler)
     dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
@@ -110,3 +117,61 @@ def histories(path: Path) -> dict[str, History]:
         for name in VARIANTS
         if _group("slam", name) in have
     }
+
+
+def bound(path: Path, settings=(), doppler: bool = True) -> None:
+    """Add the posterior Cramér–Rao bound of this run: its track, its detections and their R, the true association."""
+    scenario, seed = scenario_of(path, settings)
+    track, landmarks, paths, _ = read_truth(path)
+    detections = blurred(scenario, read_detections(path), seed)
+    bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
+    dataset.write_record(path, _group("bound", "Doppler" if doppler else "no Doppler"), bounds)
+
+
+def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
+    """Summary of every filter variant a dataset holds, and the evaluations behind it."""
+    scenario, seed = scenario_of(path, settings)
+    track, landmarks, paths, _ = read_truth(path)
+    have = dataset.groups(path)
+    found = histories(path)
+    if not found:
+        raise DatasetError(f"{path}: holds no filter history; run 'dopslam slam {path}' first")
+    evaluations = {}
+    for name, history in found.items():
+        group = _group("bound", "Doppler" if VARIANTS[name][1] else "no Doppler")
+        if group not in have:
+            raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}' first")
+        bounds = dataset.read_record(path, group, Bound)
+        evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds)
+    radius = scenario.evaluation.found_radius
+    variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
+    main = variant_name(scenario.filter.density, True)
+    main = main if main in variants else next(iter(variants))
+    summary = {
+        "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
+        **variants[main], "detections": _detection_figures(scenario, track, paths, read_detections(path)), "variants": variants,
+    }  # fmt: skip
+    return summary, evaluations
+
+
+def _detection_figures(scenario: Scenario, track: Track, paths: Paths | None, detections: DetectionSeries) -> dict:
+    if paths is None:
+        return {"per_snapshot": len(detections.delay) / detections.steps}
+    return matching.figures(matching.match_series(scenario, track, paths, detections))
+
+
+def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
+    """Write ``summary.json``, ``table.txt`` and the figures of an evaluated dataset into an existing folder."""
+    track, landmarks, paths, plan = read_truth(path)
+    main = summary["filter"]
+    with figures.house_style():
+        drawn = {
+            "plan": figures.plan_view(plan, track, landmarks, paths, histories(path)[main], track.steps // 8),
+            "errors": figures.errors_over_time(evaluations[main]),
+            "gospa": figures.gospa_over_time(evaluations[main]),
+        }
+        if paths is not None:
+            drawn["detections"] = figures.detections_over_paths(track, landmarks, paths, read_detections(path))
+        figures.save_all(target, drawn)
+    (Path(target) / "table.txt").write_text(tables.as_text(tables.run_table(summary)), encoding="utf-8")
+    folder.write_json(Path(target) / "summary.json", summary | {"versions": folder.versions()})

@@ -29,7 +29,7 @@ app = App(
     name="dopslam",
     help="Radio SLAM end to end: trace a scene, synthesize its signal, estimate the channel, run SLAM, compare with bounds.",
     version_flags=["--version"],
-    help_format="rst",
+    help_format="plaintext",
 )
 for _verb, _help in VERBS.items():
     app.command(f"dopslam.cli.{_verb}:{_verb}", name=_verb, help=_help)

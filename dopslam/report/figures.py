@@ -27,26 +27,42 @@ def house_style():
     return mpl.rc_context(style)
 
 
-def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, label: str | None = None) -> None:
+def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, enlarged: float) -> None:
     values, vectors = np.linalg.eigh(covariance)
-    width, height = 2 * np.sqrt(_CHI2_95_2D * np.maximum(values, 0))
+    width, height = 2 * enlarged * np.sqrt(_CHI2_95_2D * np.maximum(values, 0))
     angle = np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))
-    axes.add_patch(
-        Ellipse(mean, width, height, angle=angle, fill=False, color=color, linewidth=1.2, label=label, zorder=4)
-    )
+    axes.add_patch(Ellipse(mean, width, height, angle=angle, fill=False, color=color, linewidth=1.2, zorder=4))
 
 
-def plan_view(plan: FloorPlan | None, track: Track, landmarks: Landmarks, paths: Paths | None, result, step: int) -> Figure:
+def _enlargement(covariances: np.ndarray, extent: float) -> int:
+    """Factor (1, 2, 5, 10, …) that makes the median 95 % ellipse about a fiftieth of the picture."""
+    if not len(covariances):
+        return 1
+    typical = np.median(np.sqrt(_CHI2_95_2D * np.linalg.eigvalsh(covariances)[:, -1]))
+    steps = [m * 10**e for e in range(4) for m in (1, 2, 5)]
+    return next((f for f in reversed(steps) if f * typical < 0.02 * extent), 1)
+
+
+def plan_view(
+    plan: FloorPlan | None,
+    track: Track,
+    landmarks: Landmarks,
+    paths: Paths | None,
+    history,
+    step: int,
+    threshold: float = 0.5,
+) -> Figure:
     """Scene from above: objects, true and estimated track and map with 95 % ellipses, rays of one step.
 
     Parameters
     ----------
     plan : outlines of the scene's objects, or None
     track, landmarks, paths : the truth; paths may be None (detections drawn from the model)
-    result : what the filter said (see ``dopslam.slam``): ``mean`` (K, 4), ``covariance`` (K, 4, 4), ``final_map()``
+    history : ``dopslam.slam.ek_pmb.History``
     step : whose rays are drawn
+    threshold : existence above which a landmark is drawn
     """
-    figure = Figure(figsize=(7.4, 7.0))
+    figure = Figure(figsize=(7.4, 7.6))
     axes = figure.add_subplot()
     if plan is not None:
         for w in range(len(plan.name)):
@@ -55,23 +71,27 @@ def plan_view(plan: FloorPlan | None, track: Track, landmarks: Landmarks, paths:
     bs = landmarks.position[landmarks.kind == Kind.BS][0]
     if paths is not None:
         _rays(axes, bs, track, paths, step)
-    axes.plot(*bs[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5)
+    axes.plot(*bs[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5, linestyle="none")
     axes.plot(*track.position[:, :2].T, color=TRUE, linewidth=1.2, label="true track", zorder=3)
-    for kind, marker, name in ((Kind.VA, "s", "virtual anchors"), (Kind.SP, "o", "scatter points")):
+    axes.plot(*history.mean[:, :2].T, ".", color=ESTIMATE, markersize=5, label="estimated track", zorder=4)
+    last = history.rows(history.steps - 1)
+    shown = history.existence[last] > threshold
+    spreads = np.concatenate([history.covariance[:, :2, :2], history.position_covariance[last][shown][:, :2, :2]])
+    enlarged = _enlargement(spreads, np.ptp(np.concatenate([landmarks.position, track.position])[:, :2]))
+    for mean, covariance in zip(history.mean, history.covariance, strict=True):
+        _ellipse(axes, mean[:2], covariance[:2, :2], ESTIMATE, enlarged)
+    for kind, color, marker, name in ((Kind.VA, VA, "s", "virtual anchors"), (Kind.SP, SP, "o", "scatter points")):
         where = landmarks.position[landmarks.kind == kind]
-        axes.plot(*where[:, :2].T, marker, mfc="none", mec=TRUE, markersize=9, label=f"true {name}", linestyle="none", zorder=3)
-    if result is not None:
-        axes.plot(*result.mean[:, :2].T, ".", color=ESTIMATE, markersize=5, label="estimated track", zorder=4)
-        for k in range(0, len(result.mean), max(1, len(result.mean) // 10)):
-            _ellipse(axes, result.mean[k, :2], result.covariance[k, :2, :2], ESTIMATE)
-        estimate = result.final_map()
-        for kind, color, marker, name in ((Kind.VA, VA, "s", "virtual anchors"), (Kind.SP, SP, "o", "scatter points")):
-            chosen = estimate.kind == kind
-            where, spread = estimate.position[chosen], estimate.covariance[chosen]
-            axes.plot(*where[:, :2].T, marker, color=color, markersize=5, label=f"estimated {name}", linestyle="none", zorder=4)
-            for mean, covariance in zip(where, spread, strict=True):
-                _ellipse(axes, mean[:2], covariance[:2, :2], color)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title="Scene, track and map from above (95 % ellipses)")
+        axes.plot(*where[:, :2].T, marker, mfc="none", mec=TRUE, markersize=9, label=f"true {name}", linestyle="none")
+        chosen = shown & (history.kind[last] == kind)
+        where, spread = history.position[last][chosen], history.position_covariance[last][chosen]
+        axes.plot(
+            *where[:, :2].T, marker, color=color, markersize=5, label=f"estimated {name}", linestyle="none", zorder=4
+        )
+        for mean, covariance in zip(where, spread, strict=True):
+            _ellipse(axes, mean[:2], covariance[:2, :2], color, enlarged)
+    scale = f", drawn {enlarged}× larger" if enlarged > 1 else ""
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses{scale})")
     axes.set_aspect("equal", adjustable="datalim")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

@@ -1,0 +1,29 @@
+"""``dopslam evaluate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dopslam.cli.common import Settings, overrides
+
+
+def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = None) -> None:
+    """Compare track and map with the truth and the bound: table, summary.json, figures.
+
+    Parameters
+    ----------
+    dataset
+        A file with the truth, detections, at least one filter history and its bound.
+    out
+        Folder for summary.json, table.txt and the figures; by default the dataset's own.
+    settings
+        Override a scenario key, for instance --set evaluation.found_radius=1.
+    """
+    from rich.console import Console
+
+    from dopslam import stages
+    from dopslam.report import tables
+
+    summary, evaluations = stages.evaluate(dataset, overrides(settings))
+    stages.report(dataset, out or dataset.resolve().parent, summary, evaluations)
+    Console().print(tables.run_table(summary))

@@ -1,0 +1,107 @@
+"""Several traced runs of one scenario, every filter variant on the same detections, with intervals over the runs.
+
+Each seed draws its own track, scatterer phases and noise; it is traced and estimated once, and all variants filter the same
+detections. Twice: with the estimator's own covariances, and with noise of the model source's R (paper A's values) added.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import t as student
+
+from dopslam import dataset, matching, pipeline, stages
+from dopslam.config import Scenario
+from dopslam.evaluation import evaluate_run, summarize
+from dopslam.pipeline import Progress, quiet
+
+NOISES = {"estimator": "none", "paper": "model"}
+FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "gospa_va_m", "gospa_sp_m")
+
+
+def mean_interval(values) -> dict:
+    """Mean and 95 % interval (Student) over the runs."""
+    values = np.asarray(values, float)
+    half = 0.0
+    if len(values) > 1:
+        half = float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    mean = float(values.mean())
+    return {"mean": mean, "low": mean - half, "high": mean + half}
+
+
+def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Progress = quiet) -> Path:
+    """Dataset of one seed with track, paths and detections; a complete one from an earlier call is kept."""
+    path = Path(folder) / f"{scenario.name}-{seed}.h5"
+    if path.exists() and dataset.read_root(path) == (scenario.to_toml(), seed) and "detections" in dataset.groups(path):
+        return path
+    path.unlink(missing_ok=True)
+    stages.trace(path, scenario, seed, progress)
+    stages.estimate(path, (), jobs, progress)
+    return path
+
+
+def summaries(path: Path, noise: str) -> dict:
+    """Every filter variant on the detections of one dataset, which is left as it was."""
+    settings = (f"source.traced.added_noise={NOISES[noise]}",)
+    scenario, seed = stages.scenario_of(path, settings)
+    truth = stages.read_truth(path)
+    detections = stages.blurred(scenario, stages.read_detections(path), seed)
+    bounds = {d: pipeline.bound(scenario, *truth[:3], detections, d) for d in (True, False)}
+    return {
+        name: summarize(
+            evaluate_run(
+                scenario, *truth[:2], pipeline.slam(scenario, detections, density, doppler), bounds[doppler]
+            ),
+            truth[1],
+            scenario.evaluation.found_radius,
+        )
+        for name, (density, doppler) in stages.VARIANTS.items()
+    }
+
+
+def study(scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Progress = quiet) -> dict:
+    """Run the study.
+
+    Parameters
+    ----------
+    scenario : a traced scenario
+    seeds : one run each
+    folder : existing folder that keeps the datasets; complete ones are used again
+    jobs : worker processes of the estimation
+
+    Returns
+    -------
+    dict
+        ``detections``: pooled figures of the estimator; ``estimator`` and ``paper``: for every filter variant mean and 95 %
+        interval of RMSEs, NEES, GOSPA and ``rmse_over_bound``, and landmarks found; ``doppler_gain``: position RMSE without over
+        with Doppler, paired over the runs; ``runs``: every single figure.
+    """
+    seeds = list(seeds)
+    paths = [prepare(scenario, seed, folder, jobs, progress) for seed in seeds]
+    matches = []
+    for path in paths:
+        track, _, traced, _ = stages.read_truth(path)
+        matches += matching.match_series(scenario, track, traced, stages.read_detections(path))
+    result: dict = {"scenario": scenario.name, "seeds": seeds, "detections": matching.figures(matches)}
+    for noise in NOISES:
+        runs = [summaries(path, noise) for path in paths]
+        result[noise] = {name: _pooled([run[name] for run in runs]) for name in stages.VARIANTS}
+        result[noise]["doppler_gain"] = {
+            density: mean_interval([
+                run[f"{density}, no Doppler"]["position_rmse_m"] / run[density]["position_rmse_m"] for run in runs
+            ])
+            for density in ("joint", "marginal")
+        }  # fmt: skip
+        result.setdefault("runs", {})[noise] = runs
+    return result
+
+
+def _pooled(runs: list[dict]) -> dict:
+    pooled: dict = {name: mean_interval([run[name] for run in runs]) for name in FIGURES}
+    pooled["rmse_over_bound"] = {
+        name: mean_interval([run["rmse_over_bound"][name] for run in runs]) for name in ("position", "heading", "clock")
+    }
+    errors = [e for run in runs for e in run["landmark_error_m"].values()]
+    pooled["landmarks_within_1_m"] = {"found": sum(e is not None and e <= 1.0 for e in errors), "of": len(errors)}
+    return pooled

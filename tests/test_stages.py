@@ -1,0 +1,115 @@
+"""The stages over a dataset file: composition, entering anywhere, and what a user sees when something is missing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dopslam import dataset, stages
+from dopslam.cli import main
+from dopslam.config import load
+from dopslam.errors import DatasetError
+from dopslam.records import DetectionSeries, Track, same
+
+
+@pytest.fixture
+def simulated(tmp_path):
+    path = tmp_path / "d.h5"
+    stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=8"]), seed=3)
+    return path
+
+
+def finish(path):
+    for density, doppler in stages.VARIANTS.values():
+        stages.slam(path, (), density, doppler)
+    for doppler in (True, False):
+        stages.bound(path, (), doppler)
+
+
+def call(*tokens):
+    """Run the command line; the exit code."""
+    try:
+        main([str(t) for t in tokens])
+    except SystemExit as leave:
+        return leave.code
+    return 0
+
+
+def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_path):
+    finish(simulated)
+    summary, evaluations = stages.evaluate(simulated)
+    stages.report(simulated, tmp_path, summary, evaluations)
+    written = json.loads((tmp_path / "summary.json").read_text())
+    keys = {"position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "peb_m", "heb_deg", "ceb_m", "rmse_over_bound"}
+    assert keys | {"gospa_va_m", "gospa_sp_m", "va_found", "sp_found", "nees", "seed"} <= set(written)
+    assert set(written["variants"]) == set(stages.VARIANTS)
+    for name in ("plan", "errors", "gospa"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert "joint" in (tmp_path / "table.txt").read_text()
+
+
+def test_the_bound_without_doppler_is_never_below_the_one_with_it(simulated):
+    finish(simulated)
+    _, evaluations = stages.evaluate(simulated)
+    with_doppler, without = evaluations["joint"], evaluations["joint, no Doppler"]
+    assert np.all(without.peb >= with_doppler.peb)
+    assert np.all(without.heb > with_doppler.heb)
+
+
+def test_the_same_seed_gives_the_same_content(tmp_path):
+    scenario = load("ring_road", ["source.kind=model", "track.steps=4"])
+    for name in "ab":
+        stages.simulate(tmp_path / f"{name}.h5", scenario, seed=5)
+    for group, kind in (("track", Track), ("detections", DetectionSeries)):
+        first, second = (dataset.read_record(tmp_path / f"{name}.h5", group, kind) for name in "ab")
+        assert same(first, second)
+    stages.simulate(tmp_path / "c.h5", scenario, seed=6)
+    assert not same(first, dataset.read_record(tmp_path / "c.h5", "detections", DetectionSeries))
+
+
+def test_a_stage_says_what_is_missing_and_changes_nothing(simulated):
+    before = simulated.read_bytes()
+    with pytest.raises(DatasetError, match="no filter history"):
+        stages.evaluate(simulated)
+    with pytest.raises(DatasetError, match="'paths'"):
+        stages.synthesize(simulated)
+    with pytest.raises(DatasetError, match="exists already"):
+        stages.simulate(simulated, load("ring_road", ["source.kind=model"]), seed=0)
+    assert simulated.read_bytes() == before
+
+
+def test_the_command_line_runs_a_model_scenario_and_links_the_latest(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call("run", "ring_road", "--source", "model", "--set", "track.steps=4", "--seed", 2) == 0
+    latest = tmp_path / "runs" / "latest"
+    assert {p.name for p in latest.iterdir()} >= {"dataset.h5", "summary.json", "table.txt", "scenario.toml", "plan.png"}
+    assert json.loads((latest / "summary.json").read_text())["seed"] == 2
+    assert "joint" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("tokens", "words"),
+    [
+        (["run", "ring_rod"], ["ring_road"]),
+        (["run", "ring_road", "--set", "filter.gamma=3"], ["filter.gamma"]),
+        (["run", "ring_road", "--doppler-std", "-1"], ["-1"]),
+        (["slam", "nothing.h5"], ["nothing.h5"]),
+        (["trace", "ring_road"], ["out"]),
+        (["rnu"], ["run"]),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(tokens, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert call(*tokens) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    for word in words:
+        assert word in lines[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_run_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stages, "slam", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
+    assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 2
+    assert list((tmp_path / "runs").iterdir()) == []
