@@ -90,11 +90,13 @@ class DelayGrid:
     delays : (L,) cell centers [s]
     length : FFT length, or 0 for the matrix
     matrix : (L, K) or None
+    tones : (K,) [Hz] the frequencies of the matched filter: up to a phase per cell, which does not matter, those of the pilots
     """
 
     delays: Float
     length: int
     matrix: np.typing.NDArray[np.complex64] | None
+    tones: Float
 
     @staticmethod
     def build(
@@ -103,17 +105,18 @@ class DelayGrid:
         """Cells from 0 to ``max_delay`` [s], ``oversampling`` per reciprocal bandwidth."""
         count = len(frequencies)
         if count == 1:
-            return DelayGrid(np.zeros(1), 0, np.ones((1, 1), np.complex64))
+            return DelayGrid(np.zeros(1), 0, np.ones((1, 1), np.complex64), frequencies)
         if spacing is not None:
             length = scipy.fft.next_fast_len(int(np.ceil(oversampling * count)))
             cells = min(int(np.ceil(max_delay * spacing * length)) + 1, length)
             delays = np.arange(cells) / (length * spacing)
             # A short stretch of a long FFT is cheaper as a product.
             if cells > 0.15 * length:
-                return DelayGrid(delays, length, None)
+                return DelayGrid(delays, length, None, spacing * np.arange(count))
         else:
             delays = np.arange(0, max_delay + 1 / (oversampling * bandwidth), 1 / (oversampling * bandwidth))
-        return DelayGrid(delays, 0, np.exp(2j * np.pi * np.outer(delays, frequencies)).astype(np.complex64))
+        matrix = np.exp(2j * np.pi * np.outer(delays, frequencies)).astype(np.complex64)
+        return DelayGrid(delays, 0, matrix, frequencies)
 
     def apply(self, signal) -> np.typing.NDArray[np.complex64]:
         """Matched filter (L, ...) along the first axis of a signal (K, ...), up to a phase per cell."""

@@ -20,8 +20,9 @@ from ..signal.synthesis import white_noise
 from . import report
 from .detect import effective_volume, search_volume, threshold_for
 from .grids import View, directions_in
-from .projector import Projector
-from .refine import Linearization, joint_fit, linearize, separate_fit
+from .polish import CellProjector, separate_fit
+from .projector import Projector, delay_basis
+from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
 
 
@@ -54,6 +55,7 @@ class Nomp:
     threshold: float | None = None
     search_options: dict = field(default_factory=dict)
     _search: StagedSearch = field(init=False, repr=False)
+    _basis: np.ndarray | None = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +72,7 @@ class Nomp:
             self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options
         )
         object.__setattr__(self, "_search", search)
+        object.__setattr__(self, "_basis", delay_basis(self.model))
         arrivals, arrival_angle = directions_in(self.arrival_view, self.model.receiver)
         departures, departure_angle = directions_in(self.departure_view, self.model.transmitter)
         volume = search_volume(
@@ -100,9 +103,9 @@ class Nomp:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         largest = []
         for _ in range(count):
-            data = Projector(self.model, white_noise(self.model.shape, 1.0, rng))
-            filtered = self._search.filtered(self.model, data.signal)
-            largest.append(self._candidates(data, filtered, None, 1.0, self._search.full)[1].max())
+            data = white_noise(self.model.shape, 1.0, rng)
+            filtered = self._search.filtered(data)
+            largest.append(self._candidates(filtered, 1.0, self._search.full)[1].max())
         return np.array(largest)
 
     def run(
@@ -121,11 +124,11 @@ class Nomp:
         SignalError
             if the signal does not fit the model or is not finite.
         """
-        data = Projector(self.model, self.model.whiten(self.model.checked(signal)))
+        data = Projector(self.model, self.model.whiten(self.model.checked(signal)), self._basis)
         noise = Noise(float(np.vdot(data.signal, data.signal).real), data.signal.size, noise_variance)
         if noise.energy == 0.0:
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
-        filtered = self._search.filtered(self.model, data.signal)
+        filtered = self._search.filtered(data.signal)
         lin = None
         if prior is not None and len(prior):
             table = prior.table if isinstance(prior, Detections) else prior
@@ -133,8 +136,11 @@ class Nomp:
         efforts = [self._search.quick, self._search.full]
         while efforts and (lin is None or len(lin.gain) < self.max_paths):
             variance = noise.variance(lin)
-            found, statistic = self._candidates(data, filtered, lin, variance, efforts[0])
+            residual = filtered if lin is None else self._search.without(filtered, lin.blocks, lin.gain)
+            if len(efforts) > 1 and not self._search.promising(residual):
+                efforts.pop(0)
             quick = len(efforts) > 1
+            found, statistic = self._candidates(residual, variance, efforts[0])
             accepted, more = self._accepted(found, statistic, STRONG if quick else 1.0)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
@@ -156,30 +162,29 @@ class Nomp:
         lin = linearize(data, start)
         return joint_fit(data, lin, noise.variance(lin), tolerance=0.5)
 
-    def _candidates(
-        self, data: Projector, filtered, lin: Linearization | None, variance: float, effort: Effort
-    ):
-        """Refined candidates in what the paths found so far leave, and their statistics, strongest first."""
-        if lin is not None:
-            filtered = self._search.without(self.model, filtered, lin.blocks, lin.gain)
-        points = self._search.candidates(self.model, filtered, effort)
-        points, energies = separate_fit(data, points, lin, noise_variance=variance)
+    def _candidates(self, residual, variance: float, effort: Effort) -> tuple[Geometry, np.ndarray]:
+        """Refined candidates in a filtered residual and their statistics, strongest first."""
+        points = self._search.candidates(residual, effort)
+        cells = CellProjector(self.model, self._search.delay, residual, points.delay)
+        interest = np.inf if self.threshold is None else self.threshold * variance
+        points, energies = separate_fit(cells, points, variance, interest)
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
 
     def _accepted(self, found: Geometry, statistic, factor: float) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
-        significant = statistic > self.threshold * factor
-        strong = significant & (statistic > statistic[0] * 10 ** (-self.dynamic_range / 10))
-        taken = found.take(strong)
-        if len(taken):
-            taken = taken.take(distinct(self.model, taken, statistic[strong], len(taken), limit=0.25))
-        hidden = (
-            significant.sum() > len(taken)
-            or significant.all()
-            or (len(statistic) and statistic[0] > STRONG * self.threshold)
+        least = max(self.threshold * factor, statistic[0] * 10 ** (-self.dynamic_range / 10))
+        strong = np.flatnonzero(statistic > least)
+        if not len(strong):
+            return found.take(strong), False
+        overlap = coherence(self.model, found)
+        taken = strong[distinct(overlap[np.ix_(strong, strong)], statistic[strong], len(strong), limit=0.25)]
+        # Another peak may rise above the threshold once a path it overlaps with is gone; coherence near one is the same peak.
+        leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(
+            axis=1
         )
-        return taken, bool(hidden)
+        leak[taken] = -np.inf
+        return found.take(taken), bool(np.any(statistic + 2 * leak > self.threshold))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
         """Remove components, weakest first, that are not worth the threshold."""

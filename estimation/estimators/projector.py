@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..signal.algebra import Blocks, gram, project, project_rest
+from ..signal.algebra import Blocks, project, project_rest
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 
@@ -22,9 +22,9 @@ ACCURACY = 3e-6
 class Projector:
     """Projections on one whitened signal; holds its compressed windows (a cache, the only state)."""
 
-    def __init__(self, model: SignalModel, signal) -> None:
+    def __init__(self, model: SignalModel, signal, basis) -> None:
         self.model, self.signal = model, signal
-        self._basis = delay_basis(model)
+        self._basis = basis
         self._centers = np.empty(0)
         self._windows: list[np.ndarray] = []
 
@@ -41,15 +41,6 @@ class Projector:
         compressed = np.stack([self._windows[w] for w in window])
         partial = np.matmul(inside.conj().astype(np.complex64), compressed)
         return project_rest(self.model, partial, blocks[0], self.model.bands[0])
-
-    def inner_residual(self, geometry: Geometry, blocks: Blocks, others: Blocks | None, gain):
-        """The same with the signal of other paths, of given ``gain``, taken out of the data."""
-        inner = self.inner(geometry, blocks)
-        if others is None:
-            return inner
-        plain = [[mode[:, :1] for mode in modes] for modes in others]
-        overlap = gram(blocks, self.model.columns, plain, np.zeros((len(self.model.columns), 1), int))
-        return inner - overlap[..., 0] @ gain
 
     def _window_of(self, delay):
         half = HALF_WIDTH / self.model.waveform.bandwidth

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signal.algebra import Blocks, gram, gram_diagonal
+from ..signal.algebra import Blocks, gram
 from ..signal.directions import Float
 from ..signal.paths import Geometry
 from .projector import Projector
@@ -84,7 +84,8 @@ def metric(grams, active) -> Float:
     return matrix * np.outer(active, active)
 
 
-def _bounded(step: Float, lengths: Float, limit: float) -> Float:
+def bounded(step: Float, lengths: Float, limit: float) -> Float:
+    """Steps (P, 6) shortened to at most ``limit`` in their own metrics (P, 6, 6)."""
     longest = np.sqrt(np.maximum(np.einsum("pa,pab,pb->p", step, lengths, step), 0))
     return step * np.minimum(1.0, limit / np.maximum(longest, 1e-300))[:, None]
 
@@ -113,7 +114,7 @@ def joint_fit(
         step = scale * np.linalg.solve(scaled, scale * gradient)
         if gradient @ step < tolerance * noise_variance:
             break
-        step = _bounded(step.reshape(paths, 6), lengths, LARGEST_STEP)
+        step = bounded(step.reshape(paths, 6), lengths, LARGEST_STEP)
         trial = linearize(data, lin.geometry.moved(step))
         # Single-precision projections carry an error of about 1e-7 of the explained energy; it must not veto a good step.
         if trial.explained >= lin.explained * (1 - 1e-6):
@@ -123,60 +124,3 @@ def joint_fit(
             if damping > 1e6:
                 break
     return lin
-
-
-def separate_fit(
-    data: Projector,
-    geometry: Geometry,
-    background: Linearization | None = None,
-    iterations: int = 5,
-    tolerance: float = 0.05,
-    noise_variance: float = 0.0,
-) -> tuple[Geometry, Float]:
-    """Levenberg-Marquardt of P candidates, each alone in what the ``background`` paths leave of the data.
-
-    Returns the refined geometry and ``|<s, r>|^2 / |s|^2`` (P,).
-    """
-    model = data.model
-    others, gain = (None, None) if background is None else (background.blocks, background.gain)
-
-    def assess(geometry: Geometry):
-        blocks = model.evaluate(geometry)
-        inner = data.inner_residual(geometry, blocks, others, gain)
-        own = gram_diagonal(blocks, model.columns)
-        norm = np.maximum(own[:, 0, 0].real, 1e-300)
-        own_gain = inner[:, 0] / norm
-        gradient = (
-            np.real(own_gain.conj()[:, None] * (inner - own[:, :, 0] * own_gain[:, None])[:, 1:])
-            * model.active
-        )
-        return np.abs(inner[:, 0]) ** 2 / norm, gradient, metric(own, model.active)
-
-    energy, gradient, lengths = assess(geometry)
-    damping = np.full(len(geometry), 1e-2)
-    for _ in range(iterations):
-        diagonal = np.einsum("paa->pa", lengths)
-        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        scaled = lengths * scale[:, :, None] * scale[:, None] + damping[:, None, None] * np.eye(6)
-        step = scale * np.linalg.solve(scaled, (scale * gradient / energy[:, None])[..., None])[..., 0]
-        if np.all(np.einsum("pa,pa->p", gradient, step) < tolerance * noise_variance):
-            break
-        trial = geometry.moved(_bounded(step, lengths, LARGEST_STEP))
-        new_energy, new_gradient, new_lengths = assess(trial)
-        better = new_energy >= energy
-        geometry = Geometry(
-            *(
-                np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)
-                for a, b in (
-                    (geometry.delay, trial.delay),
-                    (geometry.arrival, trial.arrival),
-                    (geometry.departure, trial.departure),
-                    (geometry.speed, trial.speed),
-                )
-            )
-        )
-        energy = np.where(better, new_energy, energy)
-        gradient = np.where(better[:, None], new_gradient, gradient)
-        lengths = np.where(better[:, None, None], new_lengths, lengths)
-        damping = np.where(better, damping / 10, damping * 10)
-    return geometry, energy

@@ -14,16 +14,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.blas import cgemm
 
-from ..signal.algebra import Blocks, coherence, gram_diagonal
-from ..signal.directions import Float, tangents
+from ..signal.algebra import Blocks
+from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 from .grids import DelayGrid, View, direction_grid
-from .kernels import derotated, speed_energy
-from .refine import metric
+from .kernels import add_power, derotated, row_peaks
+from .lobes import LobeMap
 
 C64 = np.complex64
+CHUNK = 512
+"""Rows worked on at a time, so that intermediate results stay in the second-level cache."""
+STANDING_OUT = 5.0
+"""Standard deviations by which the energy of a delay cell must exceed the median for a quick search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +53,11 @@ class StagedSearch:
     order : (Q, B) symbol numbers (of the first combiner setting)
     gather : (N,) symbol order in which the combiner settings of a beam are adjacent, or None with a single setting
     arrival_vectors : (S * M, A) unit-norm receive responses, conjugated for matched filtering
-    arrival_pairs : (2 * (S * M)^2, A) their outer products, real and imaginary parts
-    departure_vectors : (Q, D) unit-norm beam gains, conjugated
-    cosine, sine : (Q, B, V) of the phase that undoes a trial speed
+    arrival_pairs : ((2 * S * M)^2, A) their outer products, in the real form of :func:`real_pairs`
+    departure_vectors : (2 * Q, 2 * D) unit-norm beam gains, conjugated, in the real form of :func:`real_product`
+    derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, in the same form
+    phase : (V, Q, B) the same as complex numbers
+    lobes : tells which grid points belong together
     full, quick : efforts of the final and of the early passes, in which only strong paths are wanted
     """
 
@@ -62,11 +69,17 @@ class StagedSearch:
     gather: np.typing.NDArray[np.intp] | None
     arrival_vectors: np.typing.NDArray[C64]
     arrival_pairs: np.typing.NDArray[np.float32]
-    departure_vectors: np.typing.NDArray[C64]
-    cosine: np.typing.NDArray[np.float32]
-    sine: np.typing.NDArray[np.float32]
+    departure_vectors: np.typing.NDArray[np.float32]
+    derotation: np.typing.NDArray[np.float32]
+    phase: np.typing.NDArray[C64]
+    lobes: LobeMap
     full: Effort
     quick: Effort = Effort(delays=40, cells=400, pairs=400, candidates=6)
+
+    @property
+    def snapshots(self) -> int:
+        """Symbols per delay cell once combiner settings are stacked."""
+        return int(self.order.max()) + 1
 
     @staticmethod
     def build(
@@ -77,8 +90,8 @@ class StagedSearch:
         departure_view: View,
         oversampling: float = 1.5,
         retained: float = 0.65,
-        keep_cells: int = 6000,
-        keep_pairs: int = 5000,
+        keep_cells: int = 4000,
+        keep_pairs: int = 4000,
         candidates: int = 10,
     ) -> StagedSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
@@ -110,13 +123,11 @@ class StagedSearch:
             )
         ]
         arrival, departure = (v / np.maximum(np.linalg.norm(v, axis=0), 1e-300) for v in vectors)
-        pairs = (arrival[:, None] * arrival.conj()).reshape(-1, arrival.shape[1])
         speeds = speed_grid(model, max_speed, oversampling)
         phase = -2 * np.pi / waveform.wavelength * schedule.times[slots[:, :, 0]].T[:, :, None] * speeds
         gather = None if len(settings) == 1 else slots.ravel()
-        order = (
-            slots[:, :, 0].T if gather is None else np.arange(slots[:, :, 0].size).reshape(slots.shape[:2]).T
-        )
+        first = slots[:, :, 0]
+        order = (first if gather is None else np.arange(first.size).reshape(first.shape)).T
         return StagedSearch(
             delay,
             arrivals,
@@ -125,32 +136,45 @@ class StagedSearch:
             np.ascontiguousarray(order),
             gather,
             arrival.conj().astype(C64),
-            np.concatenate([pairs.real, -pairs.imag]).astype(np.float32),
-            departure.conj().astype(C64),
-            np.cos(phase).astype(np.float32),
-            np.sin(phase).astype(np.float32),
+            real_pairs(arrival),
+            real_product(departure.conj()),
+            np.stack([real_product(np.exp(1j * q)) for q in phase]),
+            np.ascontiguousarray(np.exp(1j * phase).transpose(2, 0, 1)).astype(C64),
+            LobeMap.build(model, delay.delays, arrivals, departures, speeds),
             Effort(None, keep_cells, keep_pairs, candidates),
         )
 
-    def filtered(self, model: SignalModel, signal):
+    def filtered(self, signal):
         """Matched filter of a whitened signal over the delay cells (L, snapshots, elements)."""
         if self.gather is not None:
             signal = signal[:, self.gather]
-        rows = self.order.size
-        return self.delay.apply(signal.reshape(len(signal), -1)).reshape(len(self.delay.delays), rows, -1)
+        return self.delay.apply(signal.reshape(len(signal), -1)).reshape(
+            len(self.delay.delays), self.snapshots, -1
+        )
 
-    def without(self, model: SignalModel, filtered, blocks: Blocks, gain):
+    def without(self, filtered, blocks: Blocks, gain):
         """The filtered signal less that of given paths (a new array)."""
         modes = blocks[0]
         left = self.delay.apply((modes[0][:, 0] * gain[:, None]).T.astype(C64))
-        right = modes[1][:, 0]
+        right = modes[1][:, 0].astype(C64)
         for mode in modes[2:]:
-            right = (right[:, :, None] * mode[:, None, 0]).reshape(len(gain), -1)
+            right = (right[:, :, None] * mode[:, None, 0].astype(C64)).reshape(len(gain), -1)
         if self.gather is not None:
             right = right.reshape(len(gain), len(self.gather), -1)[:, self.gather].reshape(len(gain), -1)
-        return filtered - (left @ right.astype(C64)).reshape(filtered.shape)
+        rest = filtered.reshape(len(filtered), -1).copy()
+        # rest -= left @ right, in place: BLAS wants column order, that is the transposes.
+        cgemm(-1.0, right.T, left.T, 1.0, rest.T, overwrite_c=True)
+        return rest.reshape(filtered.shape)
 
-    def candidates(self, model: SignalModel, filtered, effort: Effort) -> Geometry:
+    def promising(self, filtered) -> bool:
+        """Whether some delay cell stands out of the noise, so that a quick search will find a strong path."""
+        parts = filtered.reshape(len(filtered), -1).view(np.float32)
+        energy = np.einsum("lx,lx->l", parts, parts)
+        center = np.median(energy)
+        # A cell's noise energy is a sum of as many unit exponentials as it has entries.
+        return bool(energy.max() > center * (1 + STANDING_OUT / np.sqrt(parts.shape[1] / 2)))
+
+    def candidates(self, filtered, effort: Effort) -> Geometry:
         """The best mutually incoherent grid points in a filtered residual, strongest first."""
         chosen = None
         if effort.delays is not None and effort.delays < len(filtered):
@@ -161,25 +185,24 @@ class StagedSearch:
         cell, speed, beams = self._pairs(symbols, effort.pairs)
         best = _largest(self._departures(beams), 8 * effort.candidates)
         # All AODs of the best pairs compete again: a pair's second-best beam may be the true one where an array has near-ambiguities.
-        part = beams[best] @ self.departure_vectors
-        row, departure = np.unravel_index(
-            _largest((part.real**2 + part.imag**2).ravel(), 24 * effort.candidates), part.shape
-        )
+        part = beams[best].view(np.float32) @ self.departure_vectors
+        power = part[:, : len(self.departures)] ** 2 + part[:, len(self.departures) :] ** 2
+        row, departure = np.unravel_index(_largest(power.ravel(), 24 * effort.candidates), power.shape)
         best = best[row]
         delay = delay[cell[best]]
-        geometry = Geometry(
-            self.delay.delays[delay if chosen is None else chosen[delay]],
-            self.arrivals[arrival[cell[best]]],
-            self.departures[departure],
-            self.speeds[speed[best]],
+        delay = delay if chosen is None else chosen[delay]
+        index = np.stack([delay, arrival[cell[best]], departure, speed[best]])
+        delay, arrival, departure, speed = index[:, self.lobes.first_of_each(*index, effort.candidates)]
+        return Geometry(
+            self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
         )
-        return geometry.take(lobes(model, geometry, effort.candidates))
 
     def _cells(self, filtered, keep: int):
         """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, N)."""
-        covariance = np.matmul(filtered.conj().swapaxes(1, 2), filtered).reshape(len(filtered), -1)
-        # Re(a^H R a) of all cells as one real product.
-        energy = np.concatenate([covariance.real, covariance.imag], axis=1) @ self.arrival_pairs
+        # All products of real and imaginary parts; the energy Re(a^H R a) of every cell is linear in them.
+        parts = filtered.view(np.float32)
+        products = np.matmul(parts.swapaxes(1, 2), parts).reshape(len(filtered), -1)
+        energy = products @ self.arrival_pairs
         best = np.sort(_largest(energy.ravel(), keep))
         delay, arrival = np.unravel_index(best, energy.shape)
         symbols = np.empty((len(best), filtered.shape[1]), C64)
@@ -191,20 +214,44 @@ class StagedSearch:
 
     def _pairs(self, symbols, keep: int):
         """Stage 2: cell and speed numbers of the best pairs, and their derotated beams (pairs, Q)."""
-        energy = np.empty((len(symbols), len(self.speeds)), np.float32)
-        speed_energy(symbols, self.order, self.cosine, self.sine, energy)
+        energy = np.zeros((len(symbols), len(self.speeds)), np.float32)
+        beams, sweeps = self.order.shape
+        rotated = np.empty((CHUNK, 2 * len(self.speeds)), np.float32)
+        for start in range(0, len(symbols), CHUNK):
+            total = energy[start : start + CHUNK]
+            swept = np.take(symbols[start : start + CHUNK], self.order.ravel(), axis=1).view(np.float32)
+            swept = swept.reshape(len(total), beams, 2 * sweeps)
+            for q in range(beams):
+                np.matmul(swept[:, q], self.derotation[q], out=rotated[: len(total)])
+                add_power(rotated[: len(total)], total)
         cell, speed = np.unravel_index(_largest(energy.ravel(), keep), energy.shape)
-        beams = np.empty((len(cell), len(self.order)), C64)
-        derotated(symbols, self.order, self.cosine, self.sine, cell, speed, beams)
-        return cell, speed, beams
+        chosen = np.empty((len(cell), beams), C64)
+        derotated(symbols, self.order, self.phase, cell, speed, chosen)
+        return cell, speed, chosen
 
-    def _departures(self, beams, chunk: int = 512):
-        """Stage 3: the energy of every pair at its best AOD; in chunks that stay in the cache."""
+    def _departures(self, beams):
+        """Stage 3: the energy of every pair at its best AOD."""
         energy = np.empty(len(beams), np.float32)
-        for start in range(0, len(beams), chunk):
-            part = beams[start : start + chunk] @ self.departure_vectors
-            energy[start : start + chunk] = (part.real**2 + part.imag**2).max(axis=1)
+        parts = beams.view(np.float32)
+        for start in range(0, len(beams), CHUNK):
+            row_peaks(parts[start : start + CHUNK] @ self.departure_vectors, energy[start : start + CHUNK])
         return energy
+
+
+def real_product(matrix):
+    """Real form (2n, 2m) of a complex matrix (n, m): interleaved complex rows times it give real, then imaginary parts."""
+    rows = np.empty((2 * matrix.shape[0], 2 * matrix.shape[1]), np.float32)
+    rows[0::2] = np.concatenate([matrix.real, matrix.imag], axis=1)
+    rows[1::2] = np.concatenate([-matrix.imag, matrix.real], axis=1)
+    return rows
+
+
+def real_pairs(vectors):
+    """Weights ((2M)^2, A) that make ``|sum_m conj(a_m) x_m|^2`` of unit vectors (M, A) from all products of interleaved parts of x."""
+    columns = real_product(vectors.conj())
+    count = vectors.shape[1]
+    real, imag = columns[:, :count], columns[:, count:]
+    return (real[:, None] * real + imag[:, None] * imag).reshape(-1, count)
 
 
 def speed_grid(model: SignalModel, max_speed: float, oversampling: float) -> Float:
@@ -212,7 +259,11 @@ def speed_grid(model: SignalModel, max_speed: float, oversampling: float) -> Flo
     duration = np.ptp(model.schedule.times)
     if duration == 0 or max_speed == 0:
         return np.zeros(1)
-    count = int(np.ceil(2 * max_speed * duration / model.waveform.wavelength * oversampling)) + 1
+    bins = 2 * max_speed * duration / model.waveform.wavelength
+    # Whole vector registers: multiples of sixteen once there are that many.
+    count = (
+        int(np.ceil(bins * oversampling)) + 1 if bins < 8 else 16 * max(round(bins * oversampling / 16), 1)
+    )
     return np.linspace(-max_speed, max_speed, count)
 
 
@@ -223,40 +274,11 @@ def _largest(values, count: int):
     return best[np.argsort(values[best])[::-1]]
 
 
-def lobes(model: SignalModel, geometry: Geometry, count: int, radius: float = 1.6):
-    """Indices of up to ``count`` points, in the given order, that lie in different lobes of the ambiguity function.
-
-    Two points share a lobe if they are within ``radius`` in the metric of the normalized information (a uniform aperture has its
-    first null at 1.8). Mere coherence would let one grid point hide a different lobe, and the higher peak may be in that one.
-    """
-    matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), model.active)
-    left = np.ones(len(geometry), bool)
-    kept: list[int] = []
-    while left.any() and len(kept) < count:
-        first = int(np.argmax(left))
-        kept.append(first)
-        step = displacement(geometry.take([first]), geometry)
-        left &= np.einsum("pa,ab,pb->p", step, matrices[first], step) > radius**2
-        left[first] = False
-    return np.array(kept, int)
-
-
-def displacement(start: Geometry, end: Geometry) -> Float:
-    """Steps (P, 6) that lead from ``start`` (broadcast) to ``end``, directions along great circles."""
-    columns = [(end.delay - start.delay)[:, None]]
-    for one, other in ((start.arrival, end.arrival), (start.departure, end.departure)):
-        along = np.einsum("pti,pi->pt", np.broadcast_to(tangents(one), (len(end), 2, 3)), other)
-        angle = np.arctan2(np.linalg.norm(along, axis=1), np.sum(one * other, axis=1))
-        columns.append(along * (angle / np.maximum(np.sin(angle), 1e-12))[:, None])
-    return np.concatenate([*columns, (end.speed - start.speed)[:, None]], axis=1)
-
-
-def distinct(model: SignalModel, geometry: Geometry, energy, count: int, limit: float):
+def distinct(overlap, energy, count: int, limit: float):
     """Indices of up to ``count`` points, strongest first, whose signatures are less than ``limit`` coherent with all kept before.
 
-    Coherence rather than distance in the parameters: it knows about endfire aliases and about any array's ambiguities.
+    Coherence ``overlap`` (P, P) rather than distance in the parameters: it knows about endfire aliases and any array's ambiguities.
     """
-    overlap = coherence(model, geometry)
     kept: list[int] = []
     for index in np.argsort(energy)[::-1]:
         if all(overlap[index, kept] < limit):

@@ -27,17 +27,21 @@ def angles_of(vectors: ArrayLike) -> Float:
 
 def tangents(vectors: Float) -> Float:
     """Orthonormal tangents (..., 2, 3), along increasing azimuth and elevation, at unit vectors (..., 3)."""
-    az, el = np.moveaxis(angles_of(vectors), -1, 0)
-    zero = np.zeros_like(az)
-    along_az = np.stack([-np.sin(az), np.cos(az), zero], axis=-1)
-    along_el = np.stack([-np.sin(el) * np.cos(az), -np.sin(el) * np.sin(az), np.cos(el)], axis=-1)
-    return np.stack([along_az, along_el], axis=-2)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    radius = np.hypot(x, y)
+    pole = radius < 1e-300
+    safe = np.where(pole, 1.0, radius)
+    cosine, sine = np.where(pole, 1.0, x / safe), y / safe
+    out = np.zeros((*vectors.shape[:-1], 2, 3))
+    out[..., 0, 0], out[..., 0, 1] = -sine, cosine
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z * cosine, -z * sine, radius
+    return out
 
 
 def displaced(vectors: Float, step: Float) -> Float:
     """Unit vectors (..., 3) reached from ``vectors`` by tangent displacements ``step`` (..., 2) [rad]."""
-    moved = vectors + np.einsum("...i,...ij->...j", step, tangents(vectors))
-    return moved / np.linalg.norm(moved, axis=-1, keepdims=True)
+    moved = vectors + (step[..., None, :] @ tangents(vectors))[..., 0, :]
+    return moved / np.sqrt(np.sum(moved * moved, axis=-1, keepdims=True))
 
 
 def sphere(count: int) -> Float:

@@ -1,0 +1,86 @@
+"""Which grid points lie in the same lobe of the ambiguity function.
+
+Two points share a lobe if they are close in the metric of the normalized information (a uniform aperture has its first null at 1.8).
+Mere coherence would let one grid point hide a different lobe, and the higher peak may be in that one: arrays of two rings, for
+instance, nearly confuse steep elevations above and below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..signal.algebra import gram_diagonal
+from ..signal.directions import Float, tangents
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry
+from .refine import metric
+
+RADIUS = 1.6
+"""Points closer than this in the metric share a lobe."""
+
+
+@dataclass(frozen=True, eq=False)
+class LobeMap:
+    """Squared metric distances between grid points, the coupling between delay, AOA, AOD and speed neglected.
+
+    Attributes
+    ----------
+    delays, speeds : (L,), (V,) grids in metric units
+    arrivals, departures : (A, A), (D, D) squared distances between direction cells
+    """
+
+    delays: Float
+    speeds: Float
+    arrivals: Float
+    departures: Float
+
+    @staticmethod
+    def build(
+        model: SignalModel, delays: Float, arrivals: Float, departures: Float, speeds: Float
+    ) -> LobeMap:
+        """Distances for the cells of a search."""
+
+        def distances(grid: Float, part: slice, end: str) -> Float:
+            count = len(grid)
+            geometry = Geometry(
+                np.full(count, delays[len(delays) // 2]),
+                grid if end == "arrival" else np.repeat(arrivals[:1], count, axis=0),
+                grid if end == "departure" else np.repeat(departures[:1], count, axis=0),
+                np.zeros(count),
+            )
+            matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), model.active)
+            step = great_circle(grid[:, None], grid[None])
+            scales.append(matrices[0])
+            return np.einsum("ija,iab,ijb->ij", step, matrices[:, part, part], step)
+
+        scales: list[Float] = []
+        arrival = distances(arrivals, slice(1, 3), "arrival")
+        departure = distances(departures, slice(3, 5), "departure")
+        scale = np.sqrt(np.maximum(np.diag(scales[0]), 0))
+        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure)
+
+    def first_of_each(self, delay, arrival, departure, speed, count: int):
+        """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are grid indices (P,)."""
+        tau, rate = self.delays[delay], self.speeds[speed]
+        left = np.ones(len(tau), bool)
+        kept: list[int] = []
+        while len(kept) < count and left.any():
+            first = int(np.argmax(left))
+            kept.append(first)
+            squared = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
+            squared += self.arrivals[arrival[first], arrival] + self.departures[departure[first], departure]
+            left &= squared > RADIUS**2
+            left[first] = False
+        return np.array(kept, int)
+
+
+def great_circle(start: Float, end: Float) -> Float:
+    """Tangent steps (..., 2) [rad] from unit vectors ``start`` to ``end`` along great circles (broadcast)."""
+    along = np.sum(tangents(start) * end[..., None, :], axis=-1)
+    angle = np.arctan2(np.linalg.norm(along, axis=-1), np.sum(start * end, axis=-1))
+    # The antipode has no direction of its own; any will do, at its full distance.
+    along = np.where((angle > np.pi - 1e-9)[..., None], [1.0, 0.0], along)
+    sine = np.linalg.norm(along, axis=-1)
+    return along * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 1.0)[..., None]

@@ -1,0 +1,122 @@
+"""From grid points to peaks: every candidate refined alone, in the matched-filter cells around its delay.
+
+A delay vector between two cells is a combination of the matched filters of its neighbors, so that the filtered residual already holds all
+that is needed and no pass over the data is due. Eight neighbors leave out about a thousandth; decisions near the threshold do not notice,
+and the joint fit works on the data themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..signal.algebra import Blocks, gram_diagonal, project, project_rest
+from ..signal.directions import Float
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry
+from .grids import DelayGrid
+from .refine import LARGEST_STEP, bounded, metric
+
+NEIGHBORS = 8
+
+
+class CellProjector:
+    """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they started from."""
+
+    def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float) -> None:
+        self.model, self.grid = model, grid
+        self.filtered = filtered.reshape(len(filtered), -1)
+        count = min(NEIGHBORS, len(grid.delays))
+        nearest = np.searchsorted(grid.delays, delay)
+        self.first = np.clip(nearest - count // 2, 0, len(grid.delays) - count)
+        cells = grid.delays[:count] - grid.delays[0]
+        self.inverse = np.linalg.pinv(np.exp(-2j * np.pi * np.outer(grid.tones, cells)))
+        self.count = count
+
+    def inner(self, geometry: Geometry, blocks: Blocks, index):
+        """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
+        first = self.first[index]
+        shift = np.exp(2j * np.pi * self.grid.delays[first][:, None] * self.grid.tones)
+        weights = (blocks[0][0] * shift[:, None]) @ self.inverse.T
+        cells = self.filtered[first[:, None] + np.arange(self.count)]
+        partial = np.matmul(weights.conj().astype(np.complex64), cells)
+        return project_rest(self.model, partial, blocks[0], self.model.bands[0])
+
+
+class SignalProjector:
+    """The same with a residual in the signal domain: for models whose sub-bands are filtered differently."""
+
+    def __init__(self, model: SignalModel, residual) -> None:
+        self.model, self.residual = model, residual
+
+    def inner(self, geometry: Geometry, blocks: Blocks, index):
+        """``<d_a s_p, r>`` (P, 7)."""
+        return project(self.model, self.residual, blocks)
+
+
+def separate_fit(
+    data: CellProjector | SignalProjector,
+    geometry: Geometry,
+    noise_variance: float,
+    interest: float = 0.0,
+    iterations: int = 6,
+    tolerance: float = 0.1,
+) -> tuple[Geometry, Float]:
+    """Levenberg-Marquardt of P candidates, each alone in the residual.
+
+    Candidates whose predicted gain in log-likelihood falls below ``tolerance`` stop; so do those that after two steps are still
+    below half of the best and of ``interest`` (an energy), since no further step will make them win.
+
+    Returns
+    -------
+    geometry, energy : refined candidates and their ``|<s, r>|^2 / |s|^2`` (P,)
+    """
+    model = data.model
+    count = len(geometry)
+    vectors = [np.array(a) for a in (geometry.delay, geometry.arrival, geometry.departure, geometry.speed)]
+    energy = np.zeros(count)
+    gradient, lengths = np.zeros((count, 6)), np.zeros((count, 6, 6))
+    damping = np.full(count, 1e-2)
+    live = np.arange(count)
+    trial = geometry
+    for iteration in range(iterations + 1):
+        trial_energy, trial_gradient, trial_lengths = _assess(data, trial, live)
+        better = trial_energy >= energy[live]
+        moved = live[better]
+        for own, new in zip(vectors, (trial.delay, trial.arrival, trial.departure, trial.speed), strict=True):
+            own[moved] = new[better]
+        energy[moved], gradient[moved], lengths[moved] = (
+            trial_energy[better],
+            trial_gradient[better],
+            trial_lengths[better],
+        )
+        damping[live] = np.where(better, damping[live] / 10, damping[live] * 10)
+        if iteration == iterations:
+            break
+        step = _step(energy[live], gradient[live], lengths[live], damping[live])
+        rising = np.einsum("pa,pa->p", gradient[live], step) > tolerance * noise_variance
+        if iteration >= 2:
+            rising &= energy[live] > 0.5 * min(energy.max(), interest)
+        live, step = live[rising], step[rising]
+        if not len(live):
+            break
+        trial = Geometry(*(v[live] for v in vectors)).moved(bounded(step, lengths[live], LARGEST_STEP))
+    return Geometry(*vectors), energy
+
+
+def _assess(data, geometry: Geometry, index):
+    model = data.model
+    blocks = model.evaluate(geometry)
+    inner = data.inner(geometry, blocks, index)
+    own = gram_diagonal(blocks, model.columns)
+    norm = np.maximum(own[:, 0, 0].real, 1e-300)
+    gain = inner[:, 0] / norm
+    slope = np.real(gain.conj()[:, None] * (inner - own[:, :, 0] * gain[:, None])[:, 1:])
+    return np.abs(inner[:, 0]) ** 2 / norm, slope * model.active, metric(own, model.active)
+
+
+def _step(energy: Float, gradient: Float, lengths: Float, damping: Float) -> Float:
+    diagonal = np.einsum("paa->pa", lengths)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = lengths * scale[:, :, None] * scale[:, None] + damping[:, None, None] * np.eye(6)
+    target = scale * gradient / np.maximum(energy, 1e-300)[:, None]
+    return scale * np.linalg.solve(scaled, target[..., None])[..., 0]
