@@ -59,7 +59,7 @@ def mend_endpoints(scene) -> None:
 
 
 class CountingSolver:
-    """Sionna's deterministic ``PathSolver`` that runs again with a larger buffer when candidates filled it."""
+    """Sionna's deterministic ``PathSolver`` that runs again with a larger buffer when one was full."""
 
     def __init__(self):
         rt, _ = backend()

@@ -232,6 +232,6 @@ def _check_materials(root: ET.Element, carrier_frequency: float, file: Path) -> 
             ranges = ", ".join(f"{low:g} to {high:g} GHz" for low, high in table[itu])
             raise SceneError(
                 f"{where} is {itu!r}, which is defined for {ranges} and not at "
-                f"{carrier_frequency / 1e9:g} GHz; map it in the scenario: [scene.materials] {name.removeprefix('mat-')} = 'concrete' "
-                "(or another ITU type)"
+                f"{carrier_frequency / 1e9:g} GHz; map it in the scenario: [scene.materials] "
+                f"{name.removeprefix('mat-')} = 'concrete' (or another ITU type)"
             )

@@ -240,7 +240,7 @@ class Tracer:
         return geometry
 
     def _compare(self, length: np.ndarray, traced: np.ndarray) -> None:
-        """Sionna's lengths, right to single precision, must be those of the planes: guards the bookkeeping."""
+        """Sionna's lengths, right to single precision, must be those of the planes: guards bookkeeping."""
         wrong = np.abs(length - traced) > 2e-2 + 1e-5 * length
         if np.any(wrong):
             row = int(np.argmax(wrong))
