@@ -21,6 +21,7 @@ from dopslam.geometry import distance_to_triangles, triangle_planes, winding_num
 
 NORMAL_TOLERANCE = 2e-4  # rad
 OFFSET_TOLERANCE = 5e-3  # m
+SHARED_NAME = 0.2  # of the largest face in a plane: smaller ones do not appear in its name
 CLEARANCE = 0.01  # m; closer to a surface than this, single precision rays lose paths
 _COMPASS = ("east", "north_east", "north", "north_west", "west", "south_west", "south", "south_east")
 _GENERIC = np.array([0.8146, 0.5312, 0.2331])  # no wall is perpendicular to it: tells n from −n
@@ -130,8 +131,9 @@ def _plane_names(objects, owner, triangles, areas, plane, plane_normal) -> tuple
             labels[planes[i]].append((-round(float(area[i]), 6), label))
     names = []
     for sharing in labels:
-        first = [label for _, label in sorted(sharing)]
-        names.append("+".join(first[:2]) + (f"+{len(first) - 2}" if len(first) > 2 else ""))
+        # A house's bottom in the plane of the ground is not worth naming.
+        large = [label for area, label in sorted(sharing) if -area >= SHARED_NAME * -min(sharing)[0]]
+        names.append("+".join(large[:2]) + (f"+{len(large) - 2}" if len(large) > 2 else ""))
     return tuple(names)
 
 

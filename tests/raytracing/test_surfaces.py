@@ -168,3 +168,9 @@ def test_floor_plan():
     assert sorted(map(tuple, walls["wall_east"].tolist())) == [(100, -100), (100, 100)]
     high = dict(floor_plan(build_surfaces(ROOM), height=100.0))
     assert sorted(map(tuple, high["wall_east"].tolist())) == [(100, -100), (100, 100)]
+
+
+def test_small_parts_of_a_plane_are_not_named():
+    wall = quad((0, 0, 0), (20, 0, 0), (20, 0, 9), (0, 0, 9))
+    window = quad((2, 0.001, 2), (4, 0.001, 2), (4, 0.001, 4), (2, 0.001, 4))
+    assert build_surfaces({"window": window, "wall": wall}).plane_name == ("wall",)
