@@ -81,6 +81,9 @@ def direction_grid(
     return points[cover(seen(response), retained)]
 
 
+BLOCK = 256
+
+
 @dataclass(frozen=True, eq=False)
 class DelayGrid:
     """Matched filtering over delay cells, by FFT for a uniform comb and by a matrix product otherwise.
@@ -120,9 +123,12 @@ class DelayGrid:
 
     def apply(self, signal) -> np.typing.NDArray[np.complex64]:
         """Matched filter (L, ...) along the first axis of a signal (K, ...), up to a phase per cell."""
-        if self.matrix is not None:
-            return (self.matrix @ signal.reshape(len(signal), -1)).reshape(-1, *signal.shape[1:])
         columns = signal.reshape(len(signal), -1)
-        return scipy.fft.ifft(columns, self.length, axis=0, norm="forward")[: len(self.delays)].reshape(
-            -1, *signal.shape[1:]
-        )
+        if self.matrix is not None:
+            return (self.matrix @ columns).reshape(-1, *signal.shape[1:])
+        out = np.empty((len(self.delays), columns.shape[1]), np.complex64)
+        # Blocks of columns: the transform along the first axis strides through memory.
+        for start in range(0, columns.shape[1], BLOCK):
+            part = slice(start, start + BLOCK)
+            out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
+        return out.reshape(-1, *signal.shape[1:])

@@ -31,8 +31,11 @@ def row_peaks(values, out):
 
 @compiled
 def derotated(symbols, order, phase, cells, speeds, out):
-    """Beams (pairs, Q) of chosen cell and speed pairs, coherent over the sweeps; ``phase`` (V, Q, B) complex64."""
-    beams, sweeps = order.shape
+    """Beams (pairs, Q) of chosen cell and speed pairs, coherent over the sweeps.
+
+    ``symbols`` (cells, 2N) and ``order`` (Q, 2B) hold real, then imaginary parts; ``phase`` (V, Q, B) complex64.
+    """
+    beams, sweeps = phase.shape[1:]
     for pair in range(len(cells)):
         row = symbols[cells[pair]]
         turn = phase[speeds[pair]]
@@ -40,7 +43,7 @@ def derotated(symbols, order, phase, cells, speeds, out):
             re = np.float32(0)
             im = np.float32(0)
             for b in range(sweeps):
-                x, e = row[order[q, b]], turn[q, b]
-                re += x.real * e.real - x.imag * e.imag
-                im += x.real * e.imag + x.imag * e.real
+                x, y, e = row[order[q, b]], row[order[q, b + sweeps]], turn[q, b]
+                re += x * e.real - y * e.imag
+                im += x * e.imag + y * e.real
             out[pair, q] = complex(re, im)

@@ -137,11 +137,8 @@ class Nomp:
         while efforts and (lin is None or len(lin.gain) < self.max_paths):
             variance = noise.variance(lin)
             residual = filtered if lin is None else self._search.without(filtered, lin.blocks, lin.gain)
-            if len(efforts) > 1 and not self._search.promising(residual):
-                efforts.pop(0)
-            quick = len(efforts) > 1
             found, statistic = self._candidates(residual, variance, efforts[0])
-            accepted, more = self._accepted(found, statistic, STRONG if quick else 1.0)
+            accepted, more = self._accepted(found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -150,7 +147,7 @@ class Nomp:
                     accepted, more = accepted.take([]), False
                 else:
                     lin = grown
-            if not len(accepted) or (not quick and not more):
+            if not len(accepted) or (len(efforts) == 1 and not more):
                 efforts.pop(0)
         lin = self._pruned(data, lin, noise)
         if lin is None:
@@ -171,9 +168,9 @@ class Nomp:
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
 
-    def _accepted(self, found: Geometry, statistic, factor: float) -> tuple[Geometry, bool]:
+    def _accepted(self, found: Geometry, statistic) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
-        least = max(self.threshold * factor, statistic[0] * 10 ** (-self.dynamic_range / 10))
+        least = max(self.threshold, statistic[0] * 10 ** (-self.dynamic_range / 10))
         strong = np.flatnonzero(statistic > least)
         if not len(strong):
             return found.take(strong), False
@@ -184,7 +181,7 @@ class Nomp:
             axis=1
         )
         leak[taken] = -np.inf
-        return found.take(taken), bool(np.any(statistic + 2 * leak > self.threshold))
+        return found.take(taken), bool(np.any(statistic + leak > self.threshold))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
         """Remove components, weakest first, that are not worth the threshold."""
@@ -221,9 +218,6 @@ class Nomp:
                 return without
         return None
 
-
-STRONG = 10.0
-"""Early passes take only paths this many times above the threshold; weaker ones need the full search."""
 
 LEAST_NOISE = 1e-9
 """Noise is never taken to be weaker than this share of the signal: single-precision samples cannot tell."""

@@ -93,7 +93,10 @@ def separate_fit(
         if iteration == iterations:
             break
         step = _step(energy[live], gradient[live], lengths[live], damping[live])
-        rising = np.einsum("pa,pa->p", gradient[live], step) > tolerance * noise_variance
+        # A strong candidate need not be exact: it goes through the joint fit anyway.
+        rising = np.einsum("pa,pa->p", gradient[live], step) > np.maximum(
+            tolerance * noise_variance, 0.01 * energy[live]
+        )
         if iteration >= 2:
             rising &= energy[live] > 0.5 * min(energy.max(), interest)
         live, step = live[rising], step[rising]

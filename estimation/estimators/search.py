@@ -27,8 +27,6 @@ from .lobes import LobeMap
 C64 = np.complex64
 CHUNK = 512
 """Rows worked on at a time, so that intermediate results stay in the second-level cache."""
-STANDING_OUT = 5.0
-"""Standard deviations by which the energy of a delay cell must exceed the median for a quick search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +48,12 @@ class StagedSearch:
     delay : delay cells
     arrivals, departures : (A, 3), (D, 3) direction cells
     speeds : (V,) [m/s]
-    order : (Q, B) symbol numbers (of the first combiner setting)
+    order : (Q, 2B) where the real, then the imaginary parts of the sweeps of each beam are found
     gather : (N,) symbol order in which the combiner settings of a beam are adjacent, or None with a single setting
-    arrival_vectors : (S * M, A) unit-norm receive responses, conjugated for matched filtering
+    arrival_vectors : (A, 2, 2 * S * M) unit-norm receive responses, conjugated, as in :func:`real_rows`
     arrival_pairs : ((2 * S * M)^2, A) their outer products, in the real form of :func:`real_pairs`
     departure_vectors : (2 * Q, 2 * D) unit-norm beam gains, conjugated, in the real form of :func:`real_product`
-    derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, in the same form
+    derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, for stacked real and imaginary parts
     phase : (V, Q, B) the same as complex numbers
     lobes : tells which grid points belong together
     full, quick : efforts of the final and of the early passes, in which only strong paths are wanted
@@ -67,7 +65,7 @@ class StagedSearch:
     speeds: Float
     order: np.typing.NDArray[np.intp]
     gather: np.typing.NDArray[np.intp] | None
-    arrival_vectors: np.typing.NDArray[C64]
+    arrival_vectors: np.typing.NDArray[np.float32]
     arrival_pairs: np.typing.NDArray[np.float32]
     departure_vectors: np.typing.NDArray[np.float32]
     derotation: np.typing.NDArray[np.float32]
@@ -79,7 +77,7 @@ class StagedSearch:
     @property
     def snapshots(self) -> int:
         """Symbols per delay cell once combiner settings are stacked."""
-        return int(self.order.max()) + 1
+        return (int(self.order.max()) + 1) // 2
 
     @staticmethod
     def build(
@@ -133,12 +131,12 @@ class StagedSearch:
             arrivals,
             departures,
             speeds,
-            np.ascontiguousarray(order),
+            np.concatenate([order, order + first.size], axis=1),
             gather,
-            arrival.conj().astype(C64),
+            real_rows(arrival.conj()),
             real_pairs(arrival),
             real_product(departure.conj()),
-            np.stack([real_product(np.exp(1j * q)) for q in phase]),
+            np.stack([stacked_product(np.exp(1j * q)) for q in phase]),
             np.ascontiguousarray(np.exp(1j * phase).transpose(2, 0, 1)).astype(C64),
             LobeMap.build(model, delay.delays, arrivals, departures, speeds),
             Effort(None, keep_cells, keep_pairs, candidates),
@@ -166,14 +164,6 @@ class StagedSearch:
         cgemm(-1.0, right.T, left.T, 1.0, rest.T, overwrite_c=True)
         return rest.reshape(filtered.shape)
 
-    def promising(self, filtered) -> bool:
-        """Whether some delay cell stands out of the noise, so that a quick search will find a strong path."""
-        parts = filtered.reshape(len(filtered), -1).view(np.float32)
-        energy = np.einsum("lx,lx->l", parts, parts)
-        center = np.median(energy)
-        # A cell's noise energy is a sum of as many unit exponentials as it has entries.
-        return bool(energy.max() > center * (1 + STANDING_OUT / np.sqrt(parts.shape[1] / 2)))
-
     def candidates(self, filtered, effort: Effort) -> Geometry:
         """The best mutually incoherent grid points in a filtered residual, strongest first."""
         chosen = None
@@ -198,18 +188,20 @@ class StagedSearch:
         )
 
     def _cells(self, filtered, keep: int):
-        """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, N)."""
+        """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, 2N): real, then imaginary parts."""
         # All products of real and imaginary parts; the energy Re(a^H R a) of every cell is linear in them.
         parts = filtered.view(np.float32)
         products = np.matmul(parts.swapaxes(1, 2), parts).reshape(len(filtered), -1)
         energy = products @ self.arrival_pairs
         best = np.sort(_largest(energy.ravel(), keep))
         delay, arrival = np.unravel_index(best, energy.shape)
-        symbols = np.empty((len(best), filtered.shape[1]), C64)
+        symbols = np.empty((len(best), 2 * filtered.shape[1]), np.float32)
         edges = np.searchsorted(delay, np.arange(len(filtered) + 1))
+        width = parts.shape[2]
         for number in np.flatnonzero(np.diff(edges)):
-            part = slice(edges[number], edges[number + 1])
-            np.matmul(self.arrival_vectors.T[arrival[part]], filtered[number].T, out=symbols[part])
+            start, stop = edges[number], edges[number + 1]
+            rows = self.arrival_vectors[arrival[start:stop]].reshape(-1, width)
+            np.matmul(rows, parts[number].T, out=symbols[start:stop].reshape(len(rows), -1))
         return delay, arrival, symbols
 
     def _pairs(self, symbols, keep: int):
@@ -219,8 +211,8 @@ class StagedSearch:
         rotated = np.empty((CHUNK, 2 * len(self.speeds)), np.float32)
         for start in range(0, len(symbols), CHUNK):
             total = energy[start : start + CHUNK]
-            swept = np.take(symbols[start : start + CHUNK], self.order.ravel(), axis=1).view(np.float32)
-            swept = swept.reshape(len(total), beams, 2 * sweeps)
+            swept = np.take(symbols[start : start + CHUNK], self.order.ravel(), axis=1)
+            swept = swept.reshape(len(total), beams, sweeps)
             for q in range(beams):
                 np.matmul(swept[:, q], self.derotation[q], out=rotated[: len(total)])
                 add_power(rotated[: len(total)], total)
@@ -244,6 +236,19 @@ def real_product(matrix):
     rows[0::2] = np.concatenate([matrix.real, matrix.imag], axis=1)
     rows[1::2] = np.concatenate([-matrix.imag, matrix.real], axis=1)
     return rows
+
+
+def stacked_product(matrix):
+    """The same for complex rows given as all real, then all imaginary parts."""
+    rows = real_product(matrix)
+    return np.concatenate([rows[0::2], rows[1::2]])
+
+
+def real_rows(matrix):
+    """Real form (m, 2, 2n) of the columns of (n, m): times interleaved complex columns they give real and imaginary parts."""
+    count = matrix.shape[1]
+    both = real_product(matrix)
+    return np.ascontiguousarray(np.stack([both[:, :count].T, both[:, count:].T], axis=1))
 
 
 def real_pairs(vectors):
