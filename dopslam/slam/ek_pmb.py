@@ -8,6 +8,7 @@ Gaussian over UE and landmarks.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -258,23 +259,33 @@ def scan_of(scans: Scans, k: int, doppler: bool) -> Scan:
     )
 
 
-def extract(posterior: PMB) -> tuple[Array, Array, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+@compiled
+def extract(posterior):
     """Map of a density, one row per track: position, covariance, existence, P(VA), kind, track number."""
-    n = posterior.mean.size - 3 * (posterior.kind.size - 1)
-    tracks = list(dict.fromkeys(posterior.track[1:].tolist()))
-    count = len(tracks)
-    position, covariance = np.empty((count, 3)), np.empty((count, 3, 3))
-    existence, va, kind = np.empty(count), np.empty(count), np.empty(count, dtype=np.int64)
-    for i, track in enumerate(tracks):
-        blocks = np.flatnonzero(posterior.track == track)
-        weights = posterior.weight[blocks]
-        best = blocks[np.argmax(weights)]
-        rows = slice(n + 3 * (best - 1), n + 3 * best)
-        position[i], covariance[i] = posterior.mean[rows], posterior.covariance[rows, rows]
-        existence[i] = weights.sum()
-        va[i] = weights[posterior.kind[blocks] == 1].sum() / max(existence[i], 1e-300)
-        kind[i] = posterior.kind[best]
-    return position, covariance, existence, va, kind, np.array(tracks, dtype=np.int64)
+    n = ue_size(posterior)
+    blocks = posterior.kind.shape[0]
+    position, covariance = np.empty((blocks, 3)), np.empty((blocks, 3, 3))
+    existence, va = np.zeros(blocks), np.zeros(blocks)
+    kind, track = np.zeros(blocks, dtype=np.int64), np.zeros(blocks, dtype=np.int64)
+    count = 0
+    b = 1
+    while b < blocks:
+        best, last = b, b
+        while last < blocks and posterior.track[last] == posterior.track[b]:
+            existence[count] += posterior.weight[last]
+            if posterior.kind[last] == 1:
+                va[count] += posterior.weight[last]
+            if posterior.weight[last] > posterior.weight[best]:
+                best = last
+            last += 1
+        va[count] /= max(existence[count], 1e-300)
+        start = n + 3 * (best - 1)
+        position[count] = posterior.mean[start : start + 3]
+        covariance[count] = posterior.covariance[start : start + 3, start : start + 3]
+        kind[count], track[count] = posterior.kind[best], posterior.track[best]
+        count += 1
+        b = last
+    return position[:count], covariance[:count], existence[:count], va[:count], kind[:count], track[:count]
 
 
 def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array) -> None:
@@ -321,8 +332,18 @@ def run(
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
     check_inputs(scans, parameters, model, prior[0])
-    posterior = initial_density(*prior)
     posteriors, infos = [], []
+    for posterior, info in filter_steps(scans, prior, parameters, model):
+        posteriors.append(posterior)
+        infos.append(info)
+    return collect(posteriors), diagnose(infos)
+
+
+def filter_steps(
+    scans: Scans, prior: tuple[Array, Array], parameters: FilterParameters, model: Model
+) -> Iterator[tuple[PMB, Info]]:
+    """Posterior and diagnostics after every scan, one at a time."""
+    posterior = initial_density(*prior)
     for k in range(scans.steps):
         try:
             posterior, info = step(posterior, scan_of(scans, k, parameters.doppler), model)
@@ -330,9 +351,7 @@ def run(
             raise FilterError(
                 f"step {k}: {error}; check the measurement covariances and the prior"
             ) from error
-        posteriors.append(posterior)
-        infos.append(info)
-    return collect(posteriors), diagnose(infos)
+        yield posterior, info
 
 
 def collect(posteriors: list[PMB]) -> History:
