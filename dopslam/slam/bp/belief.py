@@ -56,7 +56,7 @@ def amplitude_messages(model: AmplitudeModel, mean: np.ndarray, variance: np.nda
     noise = model.variance(z)[None, :]
     precision = 1 / variance + 1 / noise
     center = (mean / variance + z / noise) / precision
-    u = np.abs(center[..., None] + _NODES / np.sqrt(precision)[..., None]) + 1e-3
+    u = np.maximum(np.abs(center[..., None] + _NODES / np.sqrt(precision)[..., None]), 1e-3)
     v = model.variance(u)
     zz = z[None, :, None]
     log_f = (
@@ -75,4 +75,11 @@ def amplitude_messages(model: AmplitudeModel, mean: np.ndarray, variance: np.nda
     total = missed.sum(axis=-1)
     missed_mean = (missed * u).sum(axis=-1) / total
     missed_variance = (missed * u**2).sum(axis=-1) / total - missed_mean**2
-    return log_evidence, post_mean, np.maximum(post_variance, 1e-4), np.log(total), missed_mean, missed_variance
+    return (
+        log_evidence,
+        post_mean,
+        np.maximum(post_variance, 1e-4),
+        np.log(total),
+        missed_mean,
+        missed_variance,
+    )

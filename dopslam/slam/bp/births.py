@@ -103,7 +103,8 @@ def birth(form, count, agent, weight, anchor, distance, aoa, aod, covariance, wh
             value -= np.log(2 * np.pi) if count == 1 else np.log(4 * np.pi)
         else:
             linearize(
-                form, count, agent[i], q[i, 0], q[i, 1], q[i, 2], anchor, distance, aoa, aod, residual, rows, basis
+                form, count, agent, i, q[i, 0], q[i, 1], q[i, 2], anchor, distance, aoa[0], aoa[1], aoa[2],
+                aod[0], aod[1], aod[2], residual, rows,
             )  # fmt: skip
             log_det = 0.0
             for j in range(own, n):  # whitened redundant rows; the own rows have no residual
@@ -118,7 +119,9 @@ def birth(form, count, agent, weight, anchor, distance, aoa, aod, covariance, wh
                 white_rows[j - own, 0], white_rows[j - own, 1], white_rows[j - own, 2] = h0, h1, h2
                 log_det += np.log(whitener[j, j])
             offset[:] = 0.0
-            value += _update(count, white_residual, white_rows, offset, p6[i]) + log_det - 0.5 * count * _LOG_2PI
+            value += (
+                _update(count, white_residual, white_rows, offset, p6[i]) + log_det - 0.5 * count * _LOG_2PI
+            )
             for a in range(3):
                 q[i, a] += offset[a]
         log_w[i] = value
@@ -148,3 +151,25 @@ def birth(form, count, agent, weight, anchor, distance, aoa, aod, covariance, wh
             out[2, 2] += w * (p6[i, 5] + d2 * d2)
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
     return top + np.log(total), mean, out
+
+
+@compiled
+def births(form, count, agent, weight, anchor, distance, aoa, aod, covariance, whitener, permutation):
+    """:func:`birth` for every measurement: log evidence (M,), means (M, 3), covariances (M, 3, 3)."""
+    total = len(distance)
+    log_evidence, mean, cov = np.empty(total), np.empty((total, 3)), np.empty((total, 3, 3))
+    for m in range(total):
+        log_evidence[m], mean[m], cov[m] = birth(
+            form,
+            count,
+            agent,
+            weight,
+            anchor,
+            distance[m],
+            aoa[m],
+            aod[m],
+            covariance[m],
+            whitener[m],
+            permutation,
+        )
+    return log_evidence, mean, cov

@@ -28,7 +28,9 @@ class Bound:
     features: np.ndarray
 
 
-def tangent_jacobian(form: Form, p, heading: float, q, anchor, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tangent_jacobian(
+    form: Form, p, heading: float, q, anchor, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gradients of (length, AOA tangents, AOD tangents) of one path.
 
     Returns
@@ -51,6 +53,7 @@ def bound(
     *,
     aod_for_va: bool = False,
     box: tuple[float, float] = (0.5, 1.0),
+    vertical_box: tuple[float, float] = (0.5, 0.1),
 ) -> Bound:
     """PCRB at the true track for detection with certainty (line of sight as visible).
 
@@ -58,7 +61,8 @@ def bound(
     ----------
     motion : the filter's motion model
     aod_for_va : whether virtual anchors' AODs are used
-    box : half widths of the uniform prior of position [m] and velocity [m/s], taken as its variances
+    box : half widths of the uniform prior of position [m] and velocity [m/s], entering by its variances
+    vertical_box : the same for the vertical axis of spatial experiments
     """
     count, axes = (2, 3) if experiment.spatial else (1, 2)
     features = len(experiment.features)
@@ -72,7 +76,7 @@ def bound(
     variances = np.full(size, _UNKNOWN**2)
     variances[:axes], variances[axes : 2 * axes] = box[0] ** 2 / 3, box[1] ** 2 / 3
     if experiment.spatial:
-        variances[5] = max(motion.vertical_increment**2, 1e-12)
+        variances[2], variances[5] = vertical_box[0] ** 2 / 3, vertical_box[1] ** 2 / 3
     covariance = np.diag(variances)
     unit = experiment.radio.unit_deviations
     deviations = np.repeat(unit, [1, count, count])

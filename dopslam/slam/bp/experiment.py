@@ -36,6 +36,7 @@ class Experiment:
     steps, interval : number of measured steps, T [s]
     start, heading, speed : (3,) m, rad, m/s before the first measured step
     heading_noise, speed_noise : standard deviations of the walk per step [rad], [m/s]
+    climb_noise : standard deviation of the vertical speed's walk per step [m/s]; 0 keeps the height
     blocked : steps [first, last) without line of sight
     spatial : whether elevations are measured
     """
@@ -60,6 +61,7 @@ class Experiment:
     speed: float = 0.65
     heading_noise: float = np.deg2rad(0.3)
     speed_noise: float = 0.005
+    climb_noise: float = 0.0
     blocked: tuple[int, int] | None = None
     spatial: bool = False
 
@@ -78,6 +80,11 @@ class Experiment:
             volume=160.0**3 if self.spatial else 160.0**2,
             spatial=self.spatial,
         )
+
+
+def cluttered(experiment: Experiment | None = None) -> Experiment:
+    """Five false alarms per step."""
+    return replace(experiment or Experiment(), false_alarm_rate=5.0)
 
 
 def weak(experiment: Experiment | None = None) -> Experiment:
@@ -106,6 +113,7 @@ def spatial() -> Experiment:
         amplitudes=(30.0, 15.0, 12.0, 12.0, 12.0, 12.0),
         distances=(10.0, 20.0, 30.0, 20.0, 20.0, 20.0),
         start=np.array([6.0, -4.0, 1.5]),
+        climb_noise=0.005,
         spatial=True,
     )
 
@@ -122,17 +130,19 @@ class Truth:
 def draw_track(experiment: Experiment, rng: np.random.Generator) -> Truth:
     """A walk whose heading and speed revert to their means: h ← h₀ + 0.97(h − h₀) + noise, v likewise with 0.95."""
     heading, speed, place = experiment.heading, experiment.speed, np.array(experiment.start, float)
-    position = np.empty((experiment.steps, 3))
-    headings, speeds = np.empty(experiment.steps), np.empty(experiment.steps)
+    position, velocity = np.empty((experiment.steps, 3)), np.empty((experiment.steps, 3))
+    headings, climb = np.empty(experiment.steps), 0.0
     for k in range(experiment.steps):
-        noise = rng.standard_normal(2)
+        noise = rng.standard_normal(3)
         heading = (
             experiment.heading + 0.97 * (heading - experiment.heading) + experiment.heading_noise * noise[0]
         )
         speed = experiment.speed + 0.95 * (speed - experiment.speed) + experiment.speed_noise * noise[1]
-        place = place + experiment.interval * speed * geometry.unit_vector(heading)
-        position[k], headings[k], speeds[k] = place, heading, speed
-    return Truth(position, headings, speeds[:, None] * geometry.unit_vector(headings))
+        climb = 0.95 * climb + experiment.climb_noise * noise[2]
+        velocity[k] = speed * geometry.unit_vector(heading) + np.array([0.0, 0.0, climb])
+        place = place + experiment.interval * velocity[k]
+        position[k], headings[k] = place, heading
+    return Truth(position, headings, velocity)
 
 
 def true_amplitudes(experiment: Experiment, position: np.ndarray) -> np.ndarray:

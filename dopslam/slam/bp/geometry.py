@@ -88,7 +88,9 @@ def chord(measured: np.ndarray, predicted: np.ndarray, count: int) -> np.ndarray
     basis = tangents(predicted, count)
     cosine = np.sum(measured * predicted, axis=-1)
     stretch = np.sqrt(2 / np.maximum(1 + cosine, _TINY))
-    return np.einsum("...ji,...i->...j", basis, np.broadcast_to(measured, predicted.shape)) * stretch[..., None]
+    return (
+        np.einsum("...ji,...i->...j", basis, np.broadcast_to(measured, predicted.shape)) * stretch[..., None]
+    )
 
 
 def turned(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -34,50 +34,65 @@ def _tangents(x, y, z, basis):
 
 
 @compiled
-def linearize(form, count, agent, qx, qy, qz, anchor, distance, aoa, aod, residual, rows, basis):
-    """Residual and gradient with respect to the feature of one (particle, feature, measurement).
+def linearize(
+    form, count, agent, i, qx, qy, qz, anchor, distance, zx, zy, zz, wx, wy, wz, residual, rows
+):  # fmt: skip
+    """Residual and gradient with respect to the feature of one (particle i, feature, measurement).
 
-    ``aoa`` is in the receiver's frame and turned by the particle's heading here. Fills residual (n,) and rows (n, 3);
-    returns the number of rows used, 1 + count for ``VA``, else 1 + 2·count.
+    (zx, zy, zz) is the measured AOA in the receiver's frame, turned by the particle's heading here; (wx, wy, wz) the
+    measured AOD. Fills residual (n,) and rows (n, 3); returns the number of rows used, 1 + count for ``VA``, else
+    1 + 2·count. Scalars instead of array slices: a slice costs as much as the row.
     """
-    ex, ey, ez = qx - agent[0], qy - agent[1], qz - agent[2]
+    ex, ey, ez = qx - agent[i, 0], qy - agent[i, 1], qz - agent[i, 2]
     r = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
-    ex, ey, ez = ex / r, ey / r, ez / r
+    inverse = 1.0 / r
+    ex, ey, ez = ex * inverse, ey * inverse, ez * inverse
     nx, ny, nz = qx - anchor[0], qy - anchor[1], qz - anchor[2]
     reach = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-    nx, ny, nz = nx / reach, ny / reach, nz / reach
-    c, s = agent[4], agent[5]
-    zx, zy, zz = c * aoa[0] - s * aoa[1], s * aoa[0] + c * aoa[1], aoa[2]
-    stretch = np.sqrt(2.0 / max(1.0 + zx * ex + zy * ey + zz * ez, 1e-12))
+    outward = 1.0 / reach
+    nx, ny, nz = nx * outward, ny * outward, nz * outward
+    c, s = agent[i, 4], agent[i, 5]
+    zx, zy = c * zx - s * zy, s * zx + c * zy
     rows[0, 0], rows[0, 1], rows[0, 2] = ex, ey, ez
-    residual[0] = distance - agent[3] - r
+    residual[0] = distance - agent[i, 3] - r
     if form == PS:
         residual[0] -= reach
         rows[0, 0] += nx
         rows[0, 1] += ny
         rows[0, 2] += nz
-    _tangents(ex, ey, ez, basis)
-    for j in range(count):
-        residual[1 + j] = stretch * (basis[j, 0] * zx + basis[j, 1] * zy + basis[j, 2] * zz)
-        for a in range(3):
-            rows[1 + j, a] = basis[j, a] / r
+    stretch = np.sqrt(2.0 / max(1.0 + zx * ex + zy * ey + zz * ez, 1e-12))
+    flat = np.sqrt(ex * ex + ey * ey)
+    pole = flat < 1e-9
+    c = 1.0 if pole else ex / flat
+    s = 0.0 if pole else ey / flat
+    residual[1] = stretch * (c * zy - s * zx)
+    rows[1, 0], rows[1, 1], rows[1, 2] = -s * inverse, c * inverse, 0.0
+    if count == 2:
+        residual[2] = stretch * (flat * zz - ez * (c * zx + s * zy))
+        rows[2, 0], rows[2, 1], rows[2, 2] = -ez * c * inverse, -ez * s * inverse, flat * inverse
     if form == VA:
         return 1 + count
+    en = ex * nx + ey * ny + ez * nz
     if form == LOS:
         tx, ty, tz = -ex, -ey, -ez
     elif form == PS:
         tx, ty, tz = nx, ny, nz
     else:
-        en = ex * nx + ey * ny + ez * nz
         tx, ty, tz = 2 * en * nx - ex, 2 * en * ny - ey, 2 * en * nz - ez
-    stretch = np.sqrt(2.0 / max(1.0 + aod[0] * tx + aod[1] * ty + aod[2] * tz, 1e-12))
-    _tangents(tx, ty, tz, basis)
+    stretch = np.sqrt(2.0 / max(1.0 + wx * tx + wy * ty + wz * tz, 1e-12))
+    flat = np.sqrt(tx * tx + ty * ty)
+    pole = flat < 1e-9
+    c = 1.0 if pole else tx / flat
+    s = 0.0 if pole else ty / flat
     for j in range(count):
-        bx, by, bz = basis[j, 0], basis[j, 1], basis[j, 2]
-        residual[1 + count + j] = stretch * (bx * aod[0] + by * aod[1] + bz * aod[2])
-        row = rows[1 + count + j]
+        if j == 0:
+            bx, by, bz = -s, c, 0.0
+        else:
+            bx, by, bz = -tz * c, -tz * s, flat
+        k = 1 + count + j
+        residual[k] = stretch * (bx * wx + by * wy + bz * wz)
         if form == PS:
-            row[0], row[1], row[2] = bx / reach, by / reach, bz / reach
+            rows[k, 0], rows[k, 1], rows[k, 2] = bx * outward, by * outward, bz * outward
         elif form == VA_AOD:
             # bᵀ∂t/∂q with t = −e + 2(eᵀn)n: through e and through n, each projected onto its tangent plane.
             bn = bx * nx + by * ny + bz * nz
@@ -85,11 +100,11 @@ def linearize(form, count, agent, qx, qy, qz, anchor, distance, aoa, aod, residu
             ue = ux * ex + uy * ey + uz * ez
             vx, vy, vz = 2 * (bn * ex + en * bx), 2 * (bn * ey + en * by), 2 * (bn * ez + en * bz)
             vn = vx * nx + vy * ny + vz * nz
-            row[0] = (ux - ue * ex) / r + (vx - vn * nx) / reach
-            row[1] = (uy - ue * ey) / r + (vy - vn * ny) / reach
-            row[2] = (uz - ue * ez) / r + (vz - vn * nz) / reach
+            rows[k, 0] = (ux - ue * ex) * inverse + (vx - vn * nx) * outward
+            rows[k, 1] = (uy - ue * ey) * inverse + (vy - vn * ny) * outward
+            rows[k, 2] = (uz - ue * ez) * inverse + (vz - vn * nz) * outward
         else:
-            row[0], row[1], row[2] = 0.0, 0.0, 0.0
+            rows[k, 0], rows[k, 1], rows[k, 2] = 0.0, 0.0, 0.0
     return 1 + 2 * count
 
 
@@ -104,17 +119,24 @@ def _log_constant(form, count, whitener, scale):
 
 
 @compiled
-def _whiten(whitener, scale, used, residual, rows, white_residual, white_rows):
+def _whiten(whitener, m, scale, used, residual, rows, white_residual, white_rows):
     """Whitened residual and rows."""
     for j in range(used):
         e, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
         for i in range(j + 1):
-            w = whitener[j, i] * scale
+            w = whitener[m, j, i] * scale
             e += w * residual[i]
             h0 += w * rows[i, 0]
             h1 += w * rows[i, 1]
             h2 += w * rows[i, 2]
         white_residual[j], white_rows[j, 0], white_rows[j, 1], white_rows[j, 2] = e, h0, h1, h2
+
+
+@compiled
+def _reset(packed, cov, offset):
+    for a in range(6):
+        cov[a] = packed[a]
+    offset[0], offset[1], offset[2] = 0.0, 0.0, 0.0
 
 
 @compiled
@@ -164,7 +186,7 @@ def row_likelihoods(
     """
     rows_total, particles = len(form), len(agent)
     out = np.empty((rows_total, particles))
-    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
+    residual, rows = np.empty(5), np.empty((5, 3))
     white_residual, white_rows = np.empty(5), np.empty((5, 3))
     packed, cov6, offset = np.empty(6), np.empty(6), np.empty(3)
     root = np.sqrt(temper)
@@ -178,11 +200,11 @@ def row_likelihoods(
             constant = log_weight[l] + _log_constant(form[r], count, whitener[m], factor)
             for i in range(particles):
                 used = linearize(
-                    form[r], count, agent[i], qx, qy, qz, anchor, distance[m], aoa[m], aod[m], residual, rows, basis
+                    form[r], count, agent, i, qx, qy, qz, anchor, distance[m], aoa[m, 0], aoa[m, 1], aoa[m, 2],
+                    aod[m, 0], aod[m, 1], aod[m, 2], residual, rows,
                 )  # fmt: skip
-                _whiten(whitener[m], factor, used, residual, rows, white_residual, white_rows)
-                cov6[:] = packed
-                offset[:] = 0.0
+                _whiten(whitener, m, factor, used, residual, rows, white_residual, white_rows)
+                _reset(packed, cov6, offset)
                 value = _update(used, white_residual, white_rows, offset, cov6)
                 value += constant
                 old = out[r, i]
@@ -197,12 +219,13 @@ def row_likelihoods(
 @compiled
 def row_moments(
     agent, anchor, count, form, mean, cov, log_missed, first, pair, scale, log_weight,
-    distance, aoa, aod, whitener, log_extrinsic, reference,
+    distance, aoa, aod, whitener, log_extrinsic, log_rows, reference,
 ):  # fmt: skip
     """Moment-matched update of every row over particles and associations.
 
     ``log_extrinsic`` (R, N) is ln of the particles' weights without the message of the row's own feature;
-    ``reference`` (R,) a common log scale that keeps the sums finite.
+    ``log_rows`` (R, N) the result of :func:`row_likelihoods`; ``reference`` (R,) a common log scale, the largest sum of
+    the two. Particles below e^−16 of it are left out.
 
     Returns
     -------
@@ -215,7 +238,7 @@ def row_moments(
         longest = max(longest, first[r + 1] - first[r])
     mass = np.zeros((rows_total, 1 + longest))
     new_mean, new_cov = mean.copy(), cov.copy()
-    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
+    residual, rows = np.empty(5), np.empty((5, 3))
     white_residual, white_rows = np.empty(5), np.empty((5, 3))
     packed, cov6, offset = np.empty(6), np.empty(6), np.empty(3)
     s1, s2 = np.empty(3), np.empty(6)
@@ -233,12 +256,14 @@ def row_moments(
             m = pair[l]
             constant = log_weight[l] + _log_constant(form[r], count, whitener[m], scale[l]) - reference[r]
             for i in range(particles):
+                if log_extrinsic[r, i] + log_rows[r, i] - reference[r] < -16.0:
+                    continue
                 used = linearize(
-                    form[r], count, agent[i], qx, qy, qz, anchor, distance[m], aoa[m], aod[m], residual, rows, basis
+                    form[r], count, agent, i, qx, qy, qz, anchor, distance[m], aoa[m, 0], aoa[m, 1], aoa[m, 2],
+                    aod[m, 0], aod[m, 1], aod[m, 2], residual, rows,
                 )  # fmt: skip
-                _whiten(whitener[m], scale[l], used, residual, rows, white_residual, white_rows)
-                cov6[:] = packed
-                offset[:] = 0.0
+                _whiten(whitener, m, scale[l], used, residual, rows, white_residual, white_rows)
+                _reset(packed, cov6, offset)
                 value = _update(used, white_residual, white_rows, offset, cov6)
                 value += constant + log_extrinsic[r, i]
                 if value > -60.0:
@@ -322,7 +347,8 @@ def gaussian_evidence(agent, weight, anchor, count, form, mean, cov, distance, a
         for i in range(particles):
             # The reference direction plays the measurement: its residual is minus the particle's offset from it.
             used = linearize(
-                form[r], count, agent[i], qx, qy, qz, anchor, 0.0, reference_a, reference_t, residual, rows, basis
+                form[r], count, agent, i, qx, qy, qz, anchor, 0.0, reference_a[0], reference_a[1], reference_a[2],
+                reference_t[0], reference_t[1], reference_t[2], residual, rows,
             )  # fmt: skip
             for j in range(used):
                 y[j] = -residual[j]

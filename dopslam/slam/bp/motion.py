@@ -96,7 +96,9 @@ class SpeedHeading:
         position = x[:, POSITION].copy()
         position[:, 0] += chord * np.cos(middle) + self.position_walk * noise[:, 2]
         position[:, 1] += chord * np.sin(middle) + self.position_walk * noise[:, 3]
-        return self._particles(position, new_speed, heading + drift, x[:, BIAS] + self.bias_walk * noise[:, 4])
+        return self._particles(
+            position, new_speed, heading + drift, x[:, BIAS] + self.bias_walk * noise[:, 4]
+        )
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 6) free coordinates: position, speed, heading about its circular mean, bias."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from dopslam.slam.bp import kernels
 from dopslam.slam.bp.belief import amplitude_messages, effective_size, kernel_jitter, normalized, systematic
-from dopslam.slam.bp.births import birth, order_for
+from dopslam.slam.bp.births import births, order_for
 from dopslam.slam.bp.motion import BIAS, HEADING, POSITION, VELOCITY, Motion
 from dopslam.slam.bp.records import Estimate, Features, Form, Info, Parameters, Scan
 from dopslam.slam.loopy import Association, loopy_association
@@ -76,7 +76,7 @@ class RaoBlackwell:
     effective_floor: float = 0.1
     effective_target: float = 0.5
     jitter: float = 0.35
-    evidence_particles: int = 500
+    evidence_particles: int = 250
     birth_particles: int = 128
     gate: float = 1e-7
 
@@ -138,7 +138,9 @@ class RaoBlackwell:
         log_detected += amplitudes.log_evidence - log_false_alarm
         exists = weight.sum(axis=1)
         log_missed = np.log(exists * np.exp(amplitudes.log_missed) + np.maximum(1 - exists, 0.0))
-        return loopy_association(log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_birth, axis=1)))
+        return loopy_association(
+            log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_birth, axis=1))
+        )
 
     def _row_likelihoods(self, agent, rows, scan, whitener, temper):
         return kernels.row_likelihoods(
@@ -170,7 +172,9 @@ class RaoBlackwell:
             for _ in range(10):
                 middle = 0.5 * (low + high)
                 wide = messages(agent, np.exp(middle))[1].sum(axis=0)
-                enough = effective_size(normalized(log_weight + wide - reached)) >= self.effective_target * size
+                enough = (
+                    effective_size(normalized(log_weight + wide - reached)) >= self.effective_target * size
+                )
                 low, high = (middle, high) if enough else (low, middle)
             temper = float(np.exp(high))
             wide = messages(agent, temper)[1].sum(axis=0)
@@ -180,14 +184,17 @@ class RaoBlackwell:
             total = log_owner.sum(axis=0)
         # Then powers of what is left, which cost one evaluation per stage.
         while (
-            effective_size(normalized(log_weight + total - reached)) < self.effective_floor * size and stages < _STAGES
+            effective_size(normalized(log_weight + total - reached)) < self.effective_floor * size
+            and stages < _STAGES
         ):
             stages += 1
             left = total - reached
             low, high = 0.0, 1.0
             for _ in range(12):
                 middle = 0.5 * (low + high)
-                enough = effective_size(normalized(log_weight + middle * left)) >= self.effective_target * size
+                enough = (
+                    effective_size(normalized(log_weight + middle * left)) >= self.effective_target * size
+                )
                 low, high = (middle, high) if enough else (low, middle)
             agent = self._moved(rng, agent, log_weight + high * left)
             log_rows, log_owner = messages(agent, 1.0)
@@ -202,7 +209,9 @@ class RaoBlackwell:
         chosen = systematic(rng, normalized(log_weight), len(agent))
         return self.motion.rebuild(kernel_jitter(rng, self.motion.coordinates(agent[chosen]), self.jitter))
 
-    def _update_features(self, agent, log_weight, log_rows, log_owner, rows, weight, features, amplitudes, scan):
+    def _update_features(
+        self, agent, log_weight, log_rows, log_owner, rows, weight, features, amplitudes, scan
+    ):
         """Moment matching over particles and associations with extrinsic weights w_i/γ_k(i)."""
         log_w = np.maximum(log_weight - np.logaddexp.reduce(log_weight), _LOG_ZERO)
         log_extrinsic = log_w - log_owner[rows.owner]
@@ -211,12 +220,14 @@ class RaoBlackwell:
             _kernel_agent(agent), self.parameters.anchor, scan.tangents, rows.form, rows.mean, rows.covariance,
             rows.log_missed, rows.first, rows.pair, rows.scale, rows.log_weight,
             scan.distance, scan.aoa, scan.aod, np.linalg.inv(np.linalg.cholesky(scan.covariance)),
-            log_extrinsic, reference,
+            log_extrinsic, log_rows, reference,
         )  # fmt: skip
         types = len(self.parameters.types)
         row_weight = np.r_[weight[0, 0], weight[1:].ravel()]
         share = mass * (row_weight * np.exp(reference))[:, None]  # joint of type, existence and association
-        per_owner = np.vstack([share[:1], share[1:].reshape(len(features), types, share.shape[1]).sum(axis=1)])
+        per_owner = np.vstack(
+            [share[:1], share[1:].reshape(len(features), types, share.shape[1]).sum(axis=1)]
+        )
         amplitude = _amplitude_posterior(rows, per_owner, amplitudes, types)
         updated = Features(
             features.label,
@@ -240,14 +251,15 @@ class RaoBlackwell:
             order = order_for(count, form)
             permuted = np.ascontiguousarray(scan.covariance[:, order][:, :, order])
             whitener = np.linalg.inv(np.linalg.cholesky(permuted))
-            for m in range(len(scan)):
-                log_c[m, t], mean[m, t], covariance[m, t] = birth(
-                    int(form), count, particles, uniform, parameters.anchor, scan.distance[m], scan.aoa[m],
-                    scan.aod[m], permuted[m], whitener[m], order,
-                )  # fmt: skip
+            log_c[:, t], mean[:, t], covariance[:, t] = births(
+                int(form), count, particles, uniform, parameters.anchor, scan.distance, scan.aoa, scan.aod,
+                permuted, whitener, order,
+            )  # fmt: skip
         return log_c + constant + np.log(parameters.prior), mean, covariance
 
-    def _born(self, rng, agent, log_weight, scan, association: Association, log_birth, next_label) -> Features:
+    def _born(
+        self, rng, agent, log_weight, scan, association: Association, log_birth, next_label
+    ) -> Features:
         """New features that are likelier than the pruning threshold, placed by the updated agent."""
         log_new = np.logaddexp.reduce(log_birth, axis=1)
         existence = association.new * np.exp(log_new - np.logaddexp(0.0, log_new))
@@ -349,7 +361,9 @@ def _row_arrays(parameters: Parameters, features: Features):
     return form, mean, covariance, owner
 
 
-def _rows(filter_: RaoBlackwell, features, amplitudes: _Amplitudes, association, scan, log_false_alarm) -> _Rows:
+def _rows(
+    filter_: RaoBlackwell, features, amplitudes: _Amplitudes, association, scan, log_false_alarm
+) -> _Rows:
     """Gated association lists: the pairs whose probability exceeds the gate, for every type of the owner."""
     form, mean, covariance, owner = _row_arrays(filter_.parameters, features)
     likely = association.marginal[:, 1:] > filter_.gate
@@ -385,14 +399,16 @@ def _amplitude_posterior(rows: _Rows, share: np.ndarray, amplitudes: _Amplitudes
         p = share[k, : 1 + pairs.size]
         total = p.sum()
         p = p / total if total > 1e-280 else np.r_[1.0, np.zeros(pairs.size)]
-        mean = np.r_[amplitudes.missed_mean[k], amplitudes.mean[k, pairs]]
-        variance = np.r_[amplitudes.missed_variance[k], amplitudes.variance[k, pairs]]
+        mean = np.append(amplitudes.missed_mean[k], amplitudes.mean[k, pairs])
+        variance = np.append(amplitudes.missed_variance[k], amplitudes.variance[k, pairs])
         result[k, 0] = p @ mean
         result[k, 1] = p @ (variance + (mean - result[k, 0]) ** 2)
     return result
 
 
-def estimate_of(parameters: Parameters, agent: np.ndarray, weight: np.ndarray, features: Features) -> Estimate:
+def estimate_of(
+    parameters: Parameters, agent: np.ndarray, weight: np.ndarray, features: Features
+) -> Estimate:
     """MMSE estimates (16)–(18) of the agent and of the declared features."""
     position = weight @ agent[:, POSITION]
     centered = agent[:, POSITION] - position

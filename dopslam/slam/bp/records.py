@@ -63,7 +63,9 @@ class Scan:
                 raise FilterError(f"Scan.{name} has shape {getattr(self, name).shape}, expected {shape}")
         n = self.covariance.shape[-1]
         if self.covariance.shape != (rows, n, n) or n not in (3, 5):
-            raise FilterError(f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n 3 or 5")
+            raise FilterError(
+                f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n 3 or 5"
+            )
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -128,7 +130,9 @@ class Parameters:
 
     def __post_init__(self):
         if not self.types or Form.LOS in self.types or len(set(self.types)) != len(self.types):
-            raise FilterError(f"Parameters.types must be distinct forms among VA, PS, VA_AOD, got {self.types}")
+            raise FilterError(
+                f"Parameters.types must be distinct forms among VA, PS, VA_AOD, got {self.types}"
+            )
         if self.type_prior is not None and len(self.type_prior) != len(self.types):
             raise FilterError(
                 f"Parameters.type_prior has {len(self.type_prior)} entries for {len(self.types)} types"
@@ -193,7 +197,11 @@ class Features:
     def empty(types: int) -> Features:
         """No feature."""
         return Features(
-            np.zeros(0, int), np.zeros((0, types)), np.zeros((0, types, 3)), np.zeros((0, types, 3, 3)), np.zeros((0, 2))
+            np.zeros(0, int),
+            np.zeros((0, types)),
+            np.zeros((0, types, 3)),
+            np.zeros((0, types, 3, 3)),
+            np.zeros((0, 2)),
         )
 
     @staticmethod

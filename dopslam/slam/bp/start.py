@@ -17,18 +17,22 @@ class Box:
 
     Parameters
     ----------
-    center : (3,) m, half_width : m in x and y (z is known)
+    center : (3,) m, half_width : m in x and y
     half_speed : m/s, velocities in x and y are uniform in ±half_speed
+    half_height, half_climb : the same for z [m] and its velocity [m/s]; 0 if the height is known
     """
 
     center: np.ndarray
     half_width: float = 0.5
     half_speed: float = 1.0
+    half_height: float = 0.0
+    half_climb: float = 0.0
 
     def contains(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """(N,) whether particles are inside."""
         inside = np.abs(position[:, :2] - self.center[:2]).max(axis=1) <= self.half_width
-        return inside & (np.abs(velocity[:, :2]).max(axis=1) <= self.half_speed)
+        inside &= np.abs(velocity[:, :2]).max(axis=1) <= self.half_speed
+        return inside & (np.abs(position[:, 2] - self.center[2]) <= self.half_height + 1e-9)
 
 
 def uniform_start(rng: np.random.Generator, box: Box, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,6 +41,8 @@ def uniform_start(rng: np.random.Generator, box: Box, size: int) -> tuple[np.nda
     position[:, :2] += rng.uniform(-box.half_width, box.half_width, (size, 2))
     velocity = np.zeros((size, 3))
     velocity[:, :2] = rng.uniform(-box.half_speed, box.half_speed, (size, 2))
+    position[:, 2] += rng.uniform(-box.half_height, box.half_height, size)
+    velocity[:, 2] = rng.uniform(-box.half_climb, box.half_climb, size)
     return particles(position, velocity), np.zeros(size)
 
 
@@ -56,23 +62,30 @@ def informed_start(
         return uniform_start(rng, box, size)
     m = int(np.argmax(np.where(near, scan.amplitude, -np.inf)))
     count = scan.tangents
-    deviation = widen * np.sqrt(np.diag(scan.covariance[m]))
-    offset = deviation[[0, 1, 1 + count]] * rng.standard_normal((size, 3))  # distance, AOA azimuth, AOD azimuth
-    # In space the receiver's height is known: distance and AOD azimuth fix the horizontal position.
-    height = box.center[2] - parameters.anchor[2]
-    flat = np.sqrt(np.maximum((scan.distance[m] + offset[:, 0]) ** 2 - height**2, 1e-6))
-    azimuth = np.arctan2(scan.aod[m, 1], scan.aod[m, 0]) + offset[:, 2] * scan.distance[m] / flat
-    position = parameters.anchor + flat[:, None] * geometry.unit_vector(azimuth) + np.array([0.0, 0.0, height])
+    deviation = widen * np.sqrt(np.diag(scan.covariance[m]))[[0, 1, 1 + count, -1]]
+    offset = deviation * rng.standard_normal((size, 4))  # distance, AOA azimuth, AOD azimuth, AOD elevation
+    if box.half_height == 0.0:
+        offset[:, 3] = 0.0
+    length = scan.distance[m] + offset[:, 0]
+    azimuth, elevation = np.arctan2(scan.aod[m, 1], scan.aod[m, 0]), np.arcsin(scan.aod[m, 2])
+    if box.half_height > 0.0:
+        rise = length * np.sin(elevation + offset[:, 3])
+    else:  # the height is known: distance and AOD azimuth fix the horizontal position
+        rise = np.full(size, box.center[2] - parameters.anchor[2])
+    flat = np.sqrt(np.maximum(length**2 - rise**2, 1e-6))
+    stretch = scan.distance[m] / flat  # tangent angle to azimuth
+    position = parameters.anchor + flat[:, None] * geometry.unit_vector(azimuth + offset[:, 2] * stretch)
+    position[:, 2] += rise
     arrival = np.arctan2(parameters.anchor[1] - position[:, 1], parameters.anchor[0] - position[:, 0])
-    heading = arrival - np.arctan2(scan.aoa[m, 1], scan.aoa[m, 0]) + offset[:, 1] * scan.distance[m] / flat
+    heading = arrival - np.arctan2(scan.aoa[m, 1], scan.aoa[m, 0]) + offset[:, 1] * stretch
     speed = rng.uniform(0, np.sqrt(2) * box.half_speed, size)
     velocity = speed[:, None] * geometry.unit_vector(heading)
+    velocity[:, 2] = rng.uniform(-box.half_climb, box.half_climb, size)
     before = position - interval * velocity
     # Densities: the prior is constant in (p, v); the proposal's Jacobians are flat (polar position) and speed.
+    # (Those of height and azimuth stretch vary by less than a percent over the proposal.)
     log_weight = (
-        0.5 * np.sum((offset / deviation[[0, 1, 1 + count]]) ** 2, axis=1)
-        + np.log(flat)
-        + np.log(np.maximum(speed, 1e-9))
+        0.5 * np.sum((offset / deviation) ** 2, axis=1) + np.log(flat) + np.log(np.maximum(speed, 1e-9))
     )
     return particles(before, velocity), np.where(box.contains(before, velocity), log_weight, -np.inf)
 
