@@ -3,8 +3,8 @@
 The filter linearizes early and never revisits it. The smoother keeps the last `lag` UE states and all
 confirmed landmarks as variables of a nonlinear least-squares problem (motion (1), measurements (3), a
 Gaussian prior at the window's tail), relinearizes all of them every step (Gauss-Newton in information form)
-and marginalizes the oldest state. With an lag as long as the run it is the batch MAP estimate. A landmark enters with
-no prior information, as in the PCRB.
+and marginalizes the oldest state. With a lag as long as the run it is the batch MAP estimate. A landmark
+enters with no prior information, as in the PCRB.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SmootherParameters:
 
     def __post_init__(self) -> None:
         if self.lag < 1 or self.iterations < 1:
-            raise FilterError(f"SmootherParameters: lag {self.lag} and iterations {self.iterations} must be ≥ 1")
+            raise FilterError(f"SmootherParameters: lag {self.lag}, iterations {self.iterations} must be ≥ 1")
 
 
 class _Window:
@@ -110,8 +110,10 @@ class _Window:
     def active(self, z: Array, whiteners: Array, only: int | None = None):
         """Factors whose landmark is a variable (or the BS): window index, landmark index, z, whitener."""
         slot = {t: i for i, t in enumerate(self.tracks)} | {BS_TRACK: -1}
-        chosen = [(k, slot[t], row) for k, t, row in self.factors if t in slot and (only is None or k ==
-        only)] rows = [row for _, _, row in chosen]
+        chosen = [
+            (k, slot[t], row) for k, t, row in self.factors if t in slot and (only is None or k == only)
+        ]
+        rows = [row for _, _, row in chosen]
         when = np.array([k - self.first for k, _, _ in chosen], dtype=np.int64)
         which = np.array([h for _, h, _ in chosen], dtype=np.int64)
         return when, which, z[rows], whiteners[rows]
@@ -186,8 +188,9 @@ def run(
         named = info.track[0].copy()
         own = scans.offsets[k] + np.arange(len(named))
         named[named == -2] = np.where(np.isin(own, track), own, -2)[named == -2]
-        window.factors += [(k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >=
-        BS_TRACK]
+        window.factors += [
+            (k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >= BS_TRACK
+        ]
         window.states = np.vstack([window.states, propagate(window.states[-1], motion)])
         likely = existence * np.where(kind == 1, va, 1.0 - va)
         window.agree(position, kind, track, likely > smoothing.confirmed)

@@ -1,7 +1,7 @@
 """Nonlinear least squares over a window of UE states and landmarks, in information form.
 
-Variables are ordered s_tail … s_now, x_1 … x_H. Costs are squared Mahalanobis lengths of the motion (1), of the
-measurements (3) and of a Gaussian prior over (s_tail, x_1 … x_H).
+Variables are ordered s_tail … s_now, x_1 … x_H. Costs are squared Mahalanobis lengths of the motion (1), of
+the measurements (3) and of a Gaussian prior over (s_tail, x_1 … x_H).
 """
 
 from __future__ import annotations
@@ -179,7 +179,8 @@ def solve_window(
     size = base + 3 * count
     used = 0
     factor = np.zeros((size, size))
-    for used in range(1, iterations + 1):
+    while used < iterations:
+        used += 1
         information, vector, cost = build(
             prior_information,
             prior_vector,
