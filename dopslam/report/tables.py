@@ -51,3 +51,40 @@ def as_text(table: Table) -> str:
     buffer = io.StringIO()
     Console(file=buffer, width=100, color_system=None).print(table)
     return buffer.getvalue()
+
+
+def study_text(result: dict) -> str:
+    """Tables of a traced study (``dopslam.traced_study.study``) as Markdown: estimator, filters, gain of Doppler."""
+    d = result["detections"]
+    bands = ", ".join(f"{band} dB: {b['found']}/{b['of']}" for band, b in d["found_by_rho_db"].items() if b["of"])
+    lines = [
+        f"{result['scenario']}, seeds {result['seeds'][0]}–{result['seeds'][-1]}",
+        "",
+        f"Estimator: {d['per_snapshot']:.2f} detections and {d['false_per_snapshot']:.3f} false ones per snapshot, "
+        f"NEES/6 {d['nees_over_6']:.3f}; found by ρ: {bands}",
+    ]
+    for noise, title in (("estimator", "R of the estimator"), ("paper", "noise of paper A's R added")):
+        lines += [
+            "",
+            f"| {title} | position m | × PEB | heading ° | clock m | NEES | GOSPA VA / SP m | within 1 m |",
+            "|---|---|---|---|---|---|---|---|",
+        ]
+        for name, v in result[noise].items():
+            if name == "doppler_gain":
+                continue
+            within = v["landmarks_within_1_m"]
+            lines.append(
+                f"| {name} | {_with_interval(v['position_rmse_m'], 4)} | {_with_interval(v['rmse_over_bound']['position'], 2)} | "
+                f"{v['heading_rmse_deg']['mean']:.4f} | {v['clock_bias_rmse_m']['mean']:.4f} | "
+                f"{_with_interval(v['nees'], 1)} | {v['gospa_va_m']['mean']:.2f} / {v['gospa_sp_m']['mean']:.2f} | "
+                f"{within['found']} of {within['of']} |"
+            )
+        gains = result[noise]["doppler_gain"]
+        lines += ["", "Position RMSE without over with Doppler, paired: " + "; ".join(
+            f"{name} {_with_interval(gain, 2)}" for name, gain in gains.items()
+        )]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _with_interval(value: dict, digits: int) -> str:
+    return f"{value['mean']:.{digits}f} ({value['low']:.{digits}f}–{value['high']:.{digits}f})"

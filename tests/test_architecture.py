@@ -1,0 +1,93 @@
+"""The house keeps its shape: who imports whom, who prints, how long a room may be."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+MODULES = sorted(p for package in ("dopslam", "estimation") for p in (ROOT / package).rglob("*.py"))
+
+
+def imports(path: Path) -> set[str]:
+    """Absolute names of everything a module imports, also inside functions."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def top_levels(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(path)}
+
+
+def test_the_import_contracts_hold():
+    program = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run(
+        [program, "--no-cache"], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_module_stays_in_its_room(path):
+    room = path.relative_to(ROOT).parts
+    used = top_levels(path)
+    if room[0] == "estimation":
+        assert not used & {"dopslam", "sionna", "mitsuba", "drjit"}
+    if room[:2] != ("dopslam", "raytracing") and path.name != "doctor.py":
+        assert not used & {"sionna", "mitsuba"}
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 400
+    assert ast.get_docstring(ast.parse(text))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_only_the_command_line_prints_or_exits(path):
+    if path.relative_to(ROOT).parts[:2] == ("dopslam", "cli"):
+        return
+    calls = [n.func for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
+    assert "print" not in {f.id for f in calls if isinstance(f, ast.Name)}
+    assert "exit" not in {f.attr for f in calls if isinstance(f, ast.Attribute)}
+
+
+FLOORS = [
+    {"errors", "records", "compiled", "llvm", "geometry", "config", "metrics", "radio", "dataset"},
+    {"models", "raytracing"},
+    {"slam", "simulate", "bounds"},
+    {"build", "evaluation", "matching", "report"},
+    {"pipeline"},
+    {"stages", "studies", "montecarlo"},
+    {"traced_study"},
+    {"cli"},
+]
+
+
+def test_rooms_import_only_from_floors_below():
+    floor = {room: level for level, rooms in enumerate(FLOORS) for room in rooms}
+    for path in (ROOT / "dopslam").rglob("*.py"):
+        parts = path.relative_to(ROOT / "dopslam").with_suffix("").parts
+        if parts == ("__init__",):
+            continue
+        assert parts[0] in floor, f"{path} has no floor: give its room one in FLOORS"
+        for name in imports(path):
+            steps = name.split(".")
+            if steps[0] == "dopslam" and len(steps) > 1 and steps[1] in floor and steps[1] != parts[0]:
+                assert floor[steps[1]] <= floor[parts[0]], f"{path} imports {name} from a floor above"
+
+
+def test_help_never_imports_what_is_heavy():
+    code = (
+        "import sys; from dopslam.cli import main\n"
+        "try: main(['run', '--help'])\n"
+        "except SystemExit: pass\n"
+        "print({'numpy', 'sionna', 'mitsuba', 'drjit', 'numba', 'h5py', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip().endswith("set()")
