@@ -11,6 +11,7 @@ import scipy.fft
 from ..errors import ModelError
 from ..signal.arrays import Complex, Manifold
 from ..signal.directions import Float, angles_of, sphere
+from ..signal.model import SignalModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,3 +133,19 @@ class DelayGrid:
             part = slice(start, start + BLOCK)
             out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
         return out.reshape(-1, *signal.shape[1:])
+
+
+def speed_grid(model: SignalModel, max_speed: float, oversampling: float, registers: bool = True) -> Float:
+    """Trial speeds [m/s] over +-max_speed, ``oversampling`` per wavelength over duration.
+
+    With ``registers`` long grids are rounded to multiples of sixteen, whole vector registers.
+    """
+    duration = np.ptp(model.schedule.times)
+    if duration == 0 or max_speed == 0:
+        return np.zeros(1)
+    bins = 2 * max_speed * duration / model.waveform.wavelength
+    # Whole vector registers: multiples of sixteen once there are that many.
+    count = (
+        int(np.ceil(bins * oversampling)) + 1 if bins < 8 else 16 * max(round(bins * oversampling / 16), 1)
+    )
+    return np.linspace(-max_speed, max_speed, count)

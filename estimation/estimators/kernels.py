@@ -47,3 +47,27 @@ def derotated(symbols, order, phase, cells, speeds, out):
                 re += x * e.real - y * e.imag
                 im += x * e.imag + y * e.real
             out[pair, q] = complex(re, im)
+
+
+@compiled
+def peak_power(parts):
+    """Largest ``|x|^2`` of a complex array given as interleaved real parts (2n,)."""
+    peak = np.float32(0)
+    for i in range(len(parts) // 2):
+        re, im = parts[2 * i], parts[2 * i + 1]
+        peak = max(peak, re * re + im * im)
+    return peak
+
+
+@compiled
+def above(parts, least, index, power):
+    """Positions and ``|x|^2`` of the entries above ``least``, as many as fit; returns their number."""
+    count = 0
+    for i in range(len(parts) // 2):
+        re, im = parts[2 * i], parts[2 * i + 1]
+        value = re * re + im * im
+        if value > least and count < len(index):
+            index[count] = i
+            power[count] = value
+            count += 1
+    return count

@@ -18,9 +18,10 @@ from ..signal.model import SignalModel
 from ..signal.paths import Geometry, PathTable
 from ..signal.synthesis import white_noise
 from . import report
+from .dense import DenseSearch
 from .detect import effective_volume, search_volume, threshold_for
 from .grids import View, directions_in
-from .polish import CellProjector, separate_fit
+from .polish import separate_fit
 from .projector import Projector, delay_basis
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
@@ -54,7 +55,7 @@ class Nomp:
     calibration: int = 24
     threshold: float | None = None
     search_options: dict = field(default_factory=dict)
-    _search: StagedSearch = field(init=False, repr=False)
+    _search: StagedSearch | DenseSearch = field(init=False, repr=False)
     _basis: np.ndarray | None = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
@@ -68,7 +69,7 @@ class Nomp:
         if not (np.isfinite(self.max_speed) and self.max_speed >= 0):
             raise ModelError(f"Nomp: max_speed must be finite and not negative, got {self.max_speed} m/s")
         object.__setattr__(self, "max_delay", longest)
-        search = StagedSearch.build(
+        search = search_kind(self.model).build(
             self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options
         )
         object.__setattr__(self, "_search", search)
@@ -103,9 +104,9 @@ class Nomp:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         largest = []
         for _ in range(count):
-            data = white_noise(self.model.shape, 1.0, rng)
-            filtered = self._search.filtered(data)
-            largest.append(self._candidates(filtered, 1.0, self._search.full)[1].max())
+            data = Projector(self.model, white_noise(self.model.shape, 1.0, rng), self._basis)
+            filtered = self._search.filtered(data.signal)
+            largest.append(self._candidates(data, filtered, None, 1.0, self._search.full)[1].max(initial=1.0))
         return np.array(largest)
 
     def run(
@@ -133,11 +134,11 @@ class Nomp:
         if prior is not None and len(prior):
             table = prior.table if isinstance(prior, Detections) else prior
             lin = self._eliminated(data, self._fit(data, table.geometry, noise), noise)
-        efforts = [self._search.quick, self._search.full]
+        efforts = self._search.efforts
         while efforts and (lin is None or len(lin.gain) < self.max_paths):
             variance = noise.variance(lin)
             residual = filtered if lin is None else self._search.without(filtered, lin.blocks, lin.gain)
-            found, statistic = self._candidates(residual, variance, efforts[0])
+            found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
             accepted, more = self._accepted(found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
@@ -159,17 +160,36 @@ class Nomp:
         lin = linearize(data, start)
         return joint_fit(data, lin, noise.variance(lin), tolerance=0.5)
 
-    def _candidates(self, residual, variance: float, effort: Effort) -> tuple[Geometry, np.ndarray]:
-        """Refined candidates in a filtered residual and their statistics, strongest first."""
-        points = self._search.candidates(residual, effort)
-        cells = CellProjector(self.model, self._search.delay, residual, points.delay)
+    def _candidates(
+        self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort
+    ):
+        """Refined candidates in a filtered residual (the paths ``lin`` are out of it) and their statistics, strongest first."""
+        points = self._search.candidates(residual, effort, variance)
+        if not len(points):
+            return points, np.zeros(0)
         interest = np.inf if self.threshold is None else self.threshold * variance
-        points, energies = separate_fit(cells, points, variance, interest)
+        points, energies = separate_fit(
+            self._search.projector(data, residual, lin, points), points, variance, interest
+        )
+        significant = np.flatnonzero(
+            energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max())
+        )
+        if len(significant):
+            significant = significant[lone(self.model, points.take(significant), energies[significant])]
+            peaks = points.take(significant)
+            cells = self._search.projector(data, residual, lin, peaks)
+            rivals = self._search.alternatives(self.model, cells, peaks, energies[significant])
+            if len(rivals):
+                cells = self._search.projector(data, residual, lin, rivals)
+                rivals, rival_energies = separate_fit(cells, rivals, variance, interest)
+                points, energies = points.joined(rivals), np.concatenate([energies, rival_energies])
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
 
     def _accepted(self, found: Geometry, statistic) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
+        if not len(statistic):
+            return found, False
         least = max(self.threshold, statistic[0] * 10 ** (-self.dynamic_range / 10))
         strong = np.flatnonzero(statistic > least)
         if not len(strong):
@@ -181,7 +201,9 @@ class Nomp:
             axis=1
         )
         leak[taken] = -np.inf
-        return found.take(taken), bool(np.any(statistic + leak > self.threshold))
+        # A strong path keeps weak ones off the list of candidates altogether.
+        crowded = statistic[0] > 10 * self.threshold or statistic[-1] > self.threshold
+        return found.take(taken), bool(crowded or np.any(statistic + leak > self.threshold))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
         """Remove components, weakest first, that are not worth the threshold."""
@@ -217,6 +239,22 @@ class Nomp:
             if lin.explained - without.explained < self.threshold * variance:
                 return without
         return None
+
+
+def search_kind(model: SignalModel) -> type[StagedSearch] | type[DenseSearch]:
+    """The coarse search that fits a link's architecture."""
+    if model.schedule.precoders is not None:
+        return StagedSearch
+    if model.schedule.combiners is None:
+        return DenseSearch
+    raise ModelError(
+        "Nomp: no coarse search exists for combiners with a digital transmitter; give the schedule precoders, or combine digitally"
+    )
+
+
+def lone(model: SignalModel, geometry: Geometry, energy) -> np.ndarray:
+    """One point of each set of coherent ones, the strongest."""
+    return distinct(coherence(model, geometry), energy, len(energy), limit=0.25)
 
 
 LEAST_NOISE = 1e-9

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..signal.algebra import Blocks, gram_diagonal, project, project_rest
+from ..signal.algebra import Blocks, gram, gram_diagonal, project_rest
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 from .grids import DelayGrid
-from .refine import LARGEST_STEP, bounded, metric
+from .projector import Projector
+from .refine import LARGEST_STEP, Linearization, bounded, metric
 
 NEIGHBORS = 8
 
@@ -34,27 +35,37 @@ class CellProjector:
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
         """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
-        first = self.first[index]
-        shift = np.exp(2j * np.pi * self.grid.delays[first][:, None] * self.grid.tones)
-        weights = (blocks[0][0] * shift[:, None]) @ self.inverse.T
-        cells = self.filtered[first[:, None] + np.arange(self.count)]
-        partial = np.matmul(weights.conj().astype(np.complex64), cells)
+        partial = self.at_delay(blocks[0][0], index)
         return project_rest(self.model, partial, blocks[0], self.model.bands[0])
 
+    def at_delay(self, vectors, index):
+        """The residual matched to delay vectors (P, c, K): (P, c, rest)."""
+        first = self.first[index]
+        shift = np.exp(2j * np.pi * self.grid.delays[first][:, None] * self.grid.tones)
+        weights = (vectors * shift[:, None]) @ self.inverse.T
+        cells = self.filtered[first[:, None] + np.arange(self.count)]
+        return np.matmul(weights.conj().astype(np.complex64), cells)
 
-class SignalProjector:
-    """The same with a residual in the signal domain: for models whose sub-bands are filtered differently."""
 
-    def __init__(self, model: SignalModel, residual) -> None:
-        self.model, self.residual = model, residual
+class ResidualProjector:
+    """The same from the data, less the known paths by their Gram matrix: for searches that keep no delay cells."""
+
+    def __init__(self, data: Projector, known: Linearization | None) -> None:
+        self.model, self.data, self.known = data.model, data, known
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
         """``<d_a s_p, r>`` (P, 7)."""
-        return project(self.model, self.residual, blocks)
+        inner = self.data.inner(geometry, blocks)
+        if self.known is None:
+            return inner
+        plain = [[mode[:, :1] for mode in modes] for modes in self.known.blocks]
+        columns = self.model.columns
+        overlap = gram(blocks, columns, plain, np.zeros((len(columns), 1), int))
+        return inner - overlap[..., 0] @ self.known.gain
 
 
 def separate_fit(
-    data: CellProjector | SignalProjector,
+    data: CellProjector | ResidualProjector,
     geometry: Geometry,
     noise_variance: float,
     interest: float = 0.0,

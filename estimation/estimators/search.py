@@ -11,20 +11,24 @@ The decision is left to the likelihood ratio after refinement. Combiner settings
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg.blas import cgemm
 
 from ..signal.algebra import Blocks
+from ..signal.arrays import Complex
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .grids import DelayGrid, View, direction_grid
+from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import add_power, derotated, row_peaks
-from .lobes import LobeMap
+from .lobes import RADIUS, LobeMap
+from .polish import CellProjector
 
 C64 = np.complex64
+RIVAL = 0.5
+"""Another lobe is worth a look if its best grid cell holds this share of the found peak's energy."""
 CHUNK = 512
 """Rows worked on at a time, so that intermediate results stay in the second-level cache."""
 
@@ -56,6 +60,7 @@ class StagedSearch:
     derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, for stacked real and imaginary parts
     phase : (V, Q, B) the same as complex numbers
     lobes : tells which grid points belong together
+    precoders, combiners : (Q, N_T) and S times (M, N_R), in the order of the slots
     full, quick : efforts of the final and of the early passes, in which only strong paths are wanted
     """
 
@@ -72,12 +77,23 @@ class StagedSearch:
     phase: np.typing.NDArray[C64]
     lobes: LobeMap
     full: Effort
+    precoders: Complex
+    combiners: list[Complex] | None
     quick: Effort = Effort(delays=40, cells=400, pairs=400, candidates=6)
 
     @property
     def snapshots(self) -> int:
         """Symbols per delay cell once combiner settings are stacked."""
         return (int(self.order.max()) + 1) // 2
+
+    @property
+    def efforts(self) -> list[Effort]:
+        """The passes in order."""
+        return [self.quick, self.full]
+
+    def projector(self, data, filtered, lin, points: Geometry) -> CellProjector:
+        """What candidates are polished on."""
+        return CellProjector(data.model, self.delay, filtered, points.delay)
 
     @staticmethod
     def build(
@@ -101,24 +117,22 @@ class StagedSearch:
         time = model.bands[0].modes[1]
         settings = [0] if schedule.combiners is None else list(schedule.combiner_index[slots[0, 0]])
 
-        def received(response):
-            if schedule.combiners is None:
-                return response
-            return np.concatenate([response @ time.combiners[s].T for s in settings], axis=1)
-
+        combiners = None if schedule.combiners is None else [time.combiners[s] for s in settings]
         book = schedule.precoders[schedule.precoder_index[slots[0, :, 0]]]
 
-        def beams(response):
+        def received(response):
+            return (
+                response if combiners is None else np.concatenate([response @ c.T for c in combiners], axis=1)
+            )
+
+        def sent(response):
             return response.conj() @ book.T
 
         arrivals = direction_grid(arrival_view, model.receiver, retained, received)
-        departures = direction_grid(departure_view, model.transmitter, retained, beams)
+        departures = direction_grid(departure_view, model.transmitter, retained, sent)
         vectors = [
-            seen(array.response(grid)[0]).T
-            for seen, array, grid in (
-                (received, model.receiver, arrivals),
-                (beams, model.transmitter, departures),
-            )
+            received(model.receiver.response(arrivals)[0]).T,
+            sent(model.transmitter.response(departures)[0]).T,
         ]
         arrival, departure = (v / np.maximum(np.linalg.norm(v, axis=0), 1e-300) for v in vectors)
         speeds = speed_grid(model, max_speed, oversampling)
@@ -140,6 +154,8 @@ class StagedSearch:
             np.ascontiguousarray(np.exp(1j * phase).transpose(2, 0, 1)).astype(C64),
             LobeMap.build(model, delay.delays, arrivals, departures, speeds),
             Effort(None, keep_cells, keep_pairs, candidates),
+            book,
+            combiners,
         )
 
     def filtered(self, signal):
@@ -164,20 +180,20 @@ class StagedSearch:
         cgemm(-1.0, right.T, left.T, 1.0, rest.T, overwrite_c=True)
         return rest.reshape(filtered.shape)
 
-    def candidates(self, filtered, effort: Effort) -> Geometry:
+    def candidates(self, filtered, effort: Effort, variance: float = 0.0) -> Geometry:
         """The best mutually incoherent grid points in a filtered residual, strongest first."""
         chosen = None
         if effort.delays is not None and effort.delays < len(filtered):
             parts = filtered.reshape(len(filtered), -1).view(np.float32)
-            chosen = np.sort(_largest(np.einsum("lx,lx->l", parts, parts), effort.delays))
+            chosen = np.sort(largest(np.einsum("lx,lx->l", parts, parts), effort.delays))
             filtered = filtered[chosen]
         delay, arrival, symbols = self._cells(filtered, effort.cells)
         cell, speed, beams = self._pairs(symbols, effort.pairs)
-        best = _largest(self._departures(beams), 8 * effort.candidates)
+        best = largest(self._departures(beams), 8 * effort.candidates)
         # All AODs of the best pairs compete again: a pair's second-best beam may be the true one where an array has near-ambiguities.
         part = beams[best].view(np.float32) @ self.departure_vectors
         power = part[:, : len(self.departures)] ** 2 + part[:, len(self.departures) :] ** 2
-        row, departure = np.unravel_index(_largest(power.ravel(), 24 * effort.candidates), power.shape)
+        row, departure = np.unravel_index(largest(power.ravel(), 24 * effort.candidates), power.shape)
         best = best[row]
         delay = delay[cell[best]]
         delay = delay if chosen is None else chosen[delay]
@@ -187,13 +203,66 @@ class StagedSearch:
             self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
         )
 
+    def alternatives(
+        self, model: SignalModel, cells: CellProjector, found: Geometry, energy: Float
+    ) -> Geometry:
+        """Directions in other lobes that could explain found peaks about as well, at the same delay and speed.
+
+        An array's near-ambiguity (two rings, for instance, nearly confuse steep elevations above and below) may give the wrong lobe
+        the better grid point; the peaks themselves must decide.
+        """
+        blocks = model.evaluate(found)[0]
+        data = cells.at_delay(blocks[0][:, :1], np.arange(len(found))).reshape(len(found), self.snapshots, -1)
+        order = np.arange(model.schedule.symbols) if self.gather is None else self.gather
+        times = model.schedule.times[order].reshape(self.snapshots, -1)
+        doppler = np.exp(-2j * np.pi / model.waveform.wavelength * times * found.speed[:, None, None])
+        still = data * np.repeat(doppler, data.shape[2] // doppler.shape[2], axis=2)
+        sweeps = self.phase.shape[2]
+        received = self.received(model.receiver.response(found.arrival)[0])
+        sent = self.sent(model.transmitter.response(found.departure)[0])
+        slots = self.order[:, :sweeps]
+        beams = np.einsum("pnm,pm->pn", still, received.conj())[:, slots].sum(axis=2)
+        ports = np.einsum("pqm,pq->pm", still[:, slots].sum(axis=2), sent.conj())
+        scale = model.waveform.subcarriers * sweeps
+        points = Geometry.empty()
+        for end, values, vectors, grid, squared in (
+            (
+                "departure",
+                beams,
+                self.sent(model.transmitter.response(self.departures)[0]),
+                self.departures,
+                received,
+            ),
+            ("arrival", ports, self.received(model.receiver.response(self.arrivals)[0]), self.arrivals, sent),
+        ):
+            power = np.abs(values @ vectors.conj().T) ** 2 / np.maximum(
+                np.sum(np.abs(vectors) ** 2, axis=1), 1e-300
+            )
+            power /= scale * np.sum(np.abs(squared) ** 2, axis=1)[:, None]
+            nearest = np.argmax(getattr(found, end) @ grid.T, axis=1)
+            table = self.lobes.departures if end == "departure" else self.lobes.arrivals
+            rival = np.where(table[nearest] > RADIUS**2, power, 0.0)
+            for p in np.flatnonzero(rival.max(axis=1) > RIVAL * energy):
+                points = points.joined(replace(found.take([p]), **{end: grid[[np.argmax(rival[p])]]}))
+        return points
+
+    def received(self, response):
+        """What a receive response (P, N_R) looks like behind all combiner settings (P, S * M)."""
+        if self.combiners is None:
+            return response
+        return np.concatenate([response @ c.T for c in self.combiners], axis=1)
+
+    def sent(self, response):
+        """The gains (P, Q) of all beams for a transmit response (P, N_T)."""
+        return response.conj() @ self.precoders.T
+
     def _cells(self, filtered, keep: int):
         """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, 2N): real, then imaginary parts."""
         # All products of real and imaginary parts; the energy Re(a^H R a) of every cell is linear in them.
         parts = filtered.view(np.float32)
         products = np.matmul(parts.swapaxes(1, 2), parts).reshape(len(filtered), -1)
         energy = products @ self.arrival_pairs
-        best = np.sort(_largest(energy.ravel(), keep))
+        best = np.sort(largest(energy.ravel(), keep))
         delay, arrival = np.unravel_index(best, energy.shape)
         symbols = np.empty((len(best), 2 * filtered.shape[1]), np.float32)
         edges = np.searchsorted(delay, np.arange(len(filtered) + 1))
@@ -216,7 +285,7 @@ class StagedSearch:
             for q in range(beams):
                 np.matmul(swept[:, q], self.derotation[q], out=rotated[: len(total)])
                 add_power(rotated[: len(total)], total)
-        cell, speed = np.unravel_index(_largest(energy.ravel(), keep), energy.shape)
+        cell, speed = np.unravel_index(largest(energy.ravel(), keep), energy.shape)
         chosen = np.empty((len(cell), beams), C64)
         derotated(symbols, self.order, self.phase, cell, speed, chosen)
         return cell, speed, chosen
@@ -259,20 +328,7 @@ def real_pairs(vectors):
     return (real[:, None] * real + imag[:, None] * imag).reshape(-1, count)
 
 
-def speed_grid(model: SignalModel, max_speed: float, oversampling: float) -> Float:
-    """Trial speeds [m/s] over +-max_speed, ``oversampling`` per wavelength over duration."""
-    duration = np.ptp(model.schedule.times)
-    if duration == 0 or max_speed == 0:
-        return np.zeros(1)
-    bins = 2 * max_speed * duration / model.waveform.wavelength
-    # Whole vector registers: multiples of sixteen once there are that many.
-    count = (
-        int(np.ceil(bins * oversampling)) + 1 if bins < 8 else 16 * max(round(bins * oversampling / 16), 1)
-    )
-    return np.linspace(-max_speed, max_speed, count)
-
-
-def _largest(values, count: int):
+def largest(values, count: int):
     """Indices of the ``count`` largest values, largest first."""
     count = min(count, len(values))
     best = np.argpartition(values, len(values) - count)[len(values) - count :]
