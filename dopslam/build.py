@@ -96,5 +96,9 @@ def filter_parameters(
         survival=config.survival,
         intensity=(config.intensity_va, config.intensity_sp),
         prune=config.prune_existence,
+        cubature=config.linearization == "cubature",
+        reweight=config.reweight,
+        birth_intensity=(config.birth_va, config.birth_sp),
+        thinning=config.thinning,
         detection=detection,
     )

@@ -188,6 +188,18 @@ class Filter(_Frozen):
     prune_existence: Probability = 1e-3
     report_existence: Probability = 0.5
     process_std: tuple[NonNegative, NonNegative, NonNegative, NonNegative] | None = None  # None: the track's own
+    linearization: Literal["extended", "cubature"] = "extended"
+    reweight: bool = False  # weight associations by the evidence of the joint update
+    hypotheses: Count = 1  # global hypotheses kept between steps: 1 is the PMB, more the PMBM
+    lag: Count = 5  # steps that the smoother revisits
+    birth_va: NonNegative = 0.0  # m⁻³ per step, added to the intensity of undetected virtual anchors
+    birth_sp: NonNegative = 0.0
+    thinning: bool = False  # reduce the undetected intensity inside the field of view after every scan
+    motion: Literal["known", "unknown"] = "known"  # speed and turn rate: known, or in the state
+    speed_std: Positive = 2.0  # m/s, initial, when unknown
+    turn_rate_std: Positive = 0.03  # rad/s
+    speed_walk: Positive = 0.1  # m/s per step
+    turn_rate_walk: Positive = 0.002  # rad/s per step
 
 
 class Evaluation(_Frozen):

@@ -176,7 +176,7 @@ def step(posterior, scan, model):
     prior = predict(posterior, model)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
-    associations = best_associations(local, log_new, model)
+    associations, _ = best_associations(local, log_new, model)
     chosen = worth_updating(associations, model.negligible)
     updated, log_weight, nis, rows = update(prior, n, local, scan, chosen, log_term, log_new, position, model)
     weight, track, existence = name_tracks(prior, local, associations, log_weight)
@@ -193,6 +193,8 @@ class Diagnostics:
     weights : K arrays (g,); normalized association weights, the likeliest first
     associations : K arrays (g, M); track of each measurement, -1 the BS, -2 new or clutter
     existence : K arrays (M,); predicted existence of the track each measurement went to
+    map_existence : K pairs (track (H,), weight (H,)) of all blocks after each step; siblings repeat their
+    track
     """
 
     nis: Array
@@ -200,6 +202,7 @@ class Diagnostics:
     weights: tuple[Array, ...]
     associations: tuple[NDArray[np.int64], ...]
     existence: tuple[Array, ...]
+    map_existence: tuple[tuple[NDArray[np.int64], Array], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +339,7 @@ def run(
     for posterior, info in filter_steps(scans, prior, parameters, model):
         posteriors.append(posterior)
         infos.append(info)
-    return collect(posteriors), diagnose(infos)
+    return collect(posteriors), diagnose(infos, posteriors)
 
 
 def filter_steps(
@@ -367,7 +370,7 @@ def collect(posteriors: list[PMB]) -> History:
     )
 
 
-def diagnose(infos: list[Info]) -> Diagnostics:
+def diagnose(infos: list[Info], posteriors: list[PMB]) -> Diagnostics:
     """The diagnostics of all steps as one record."""
     return Diagnostics(
         nis=np.array([i.nis for i in infos]),
@@ -375,6 +378,7 @@ def diagnose(infos: list[Info]) -> Diagnostics:
         weights=tuple(i.weight for i in infos),
         associations=tuple(i.track for i in infos),
         existence=tuple(i.existence for i in infos),
+        map_existence=tuple((p.track[1:], p.weight[1:]) for p in posteriors),
     )
 
 

@@ -176,7 +176,8 @@ def normalize(log_weight):
 def best_associations(local, log_new, model):
     """The γ most likely associations (Murty), with the weights of the product of single-landmark terms.
 
-    Those a tenth of `negligible` below the best are not searched for.
+    Those a tenth of `negligible` below the best are not searched for. Also returns the log of their sum, the
+    evidence of the scan apart from Σ ln ρ^{i,0}.
     """
     count, tracks = local.log_ratio.shape
     cost = np.full((count, tracks + count), np.inf)
@@ -189,4 +190,5 @@ def best_associations(local, log_new, model):
         for p in range(count):
             if solutions[g, p] >= tracks:
                 solutions[g, p] = -1
-    return Associations(normalize(-totals), solutions)
+    log_weight = normalize(-totals)
+    return Associations(log_weight, solutions), -totals[0] - log_weight[0]

@@ -215,4 +215,4 @@ def run(
         position=np.concatenate([p for p, _ in maps]),
         position_covariance=np.concatenate([s for _, s in maps]),
     )
-    return history, diagnose(infos)
+    return history, diagnose(infos, posteriors)
