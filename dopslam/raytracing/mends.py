@@ -59,14 +59,14 @@ def mend_endpoints(scene) -> None:
 
 
 class CountingSolver:
-    """Sionna's deterministic ``PathSolver`` that runs again with a larger buffer when one was full."""
+    """Sionna's ``PathSolver`` that runs again with a larger buffer when one was full."""
 
-    def __init__(self):
+    def __init__(self, deterministic: bool):
         rt, _ = backend()
         # The constant is read when the solver runs; a larger one is right for everybody, so it stays.
         generator = rt.path_solvers.sb_candidate_generator.SBCandidateGenerator
         generator.MIN_SPEC_COUNT_SIZE = max(generator.MIN_SPEC_COUNT_SIZE, HASH_TABLE_SIZE)
-        self._solver = rt.PathSolver(deterministic=True)
+        self._solver = rt.PathSolver(deterministic=deterministic)
         self._candidates = 0
         if _tested():
             generate = self._solver._candidate_generator

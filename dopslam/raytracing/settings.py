@@ -30,6 +30,8 @@ class TraceSettings:
     refraction : whether paths may pass through walls (outdoors rarely wanted: it multiplies the paths)
     seed : of the rays' sampling
     chunk : receivers per call of the tracer at most, up to 2000; many rays or reflections make it smaller
+    deterministic : whether gains repeat to the last bit and do not depend on the chunks; without, they may differ by
+        1e-6, and many rays or reflections take a fraction of the time and memory
     polarization : of the isotropic antennas (base station, receiver), each ``"V"``, ``"H"``, ``"+45"`` or
         ``"-45"``
     """
@@ -39,11 +41,14 @@ class TraceSettings:
     refraction: bool = False
     seed: int = 1
     chunk: int = 500
+    deterministic: bool = True
     polarization: tuple[str, str] = ("V", "V")
 
     @property
     def receivers_per_call(self) -> int:
         """Receivers per call of the tracer, so that memory stays bounded."""
+        if not self.deterministic:
+            return self.chunk
         return min(self.chunk, max(1, LANES_PER_CALL // (self.samples * max(self.max_depth, 1))))
 
     def __post_init__(self):

@@ -109,32 +109,41 @@ def _face_name(normal: np.ndarray, outward: float) -> str:
 def _plane_names(objects, owner, triangles, areas, plane, plane_normal) -> tuple[str, ...]:
     """Readable unique names: the object, or object.face, and up to two of them if objects share the plane."""
     labels: list[list[tuple[float, str]]] = [[] for _ in plane_normal]
-    for index, name in enumerate(objects):
-        rows = np.flatnonzero((owner == index) & (plane >= 0))
-        if not len(rows):
-            continue
-        planes, inverse = np.unique(plane[rows], return_inverse=True)
-        area = np.bincount(inverse, areas[rows])
-        centroids = triangles[rows].mean(axis=1)
-        middle = 0.5 * (triangles[rows].min(axis=(0, 1)) + triangles[rows].max(axis=(0, 1)))
-        seen: dict[str, int] = {}
-        for i in np.lexsort((planes, -np.round(area, 6))):
-            label = name
-            if len(planes) > 1:
-                p = planes[i]
-                outward = (
-                    np.average(centroids[inverse == i], axis=0, weights=areas[rows][inverse == i]) - middle
-                )
-                label = f"{name}.{_face_name(plane_normal[p], float(outward @ plane_normal[p]))}"
-                seen[label] = seen.get(label, 0) + 1
-                label += f"_{seen[label]}" if seen[label] > 1 else ""
-            labels[planes[i]].append((-round(float(area[i]), 6), label))
+    solid = np.flatnonzero(plane >= 0)
+    pairs, face = np.unique(np.column_stack([owner[solid], plane[solid]]), axis=0, return_inverse=True)
+    face = face.ravel()
+    area = np.bincount(face, areas[solid], len(pairs))
+    centroid = triangles[solid].mean(axis=1) * areas[solid, None]
+    center = (
+        np.stack([np.bincount(face, centroid[:, i], len(pairs)) for i in range(3)], axis=1) / area[:, None]
+    )
+    lower, upper = _bounds(len(objects), owner, triangles)
+    outward = np.sum((center - 0.5 * (lower + upper)[pairs[:, 0]]) * plane_normal[pairs[:, 1]], axis=1)
+    faces_of = np.bincount(pairs[:, 0], minlength=len(objects))
+    size = np.round(area, 6)
+    seen: dict[str, int] = {}
+    for i in np.lexsort((pairs[:, 1], -size, pairs[:, 0])):
+        index, p = pairs[i]
+        label = objects[index]
+        if faces_of[index] > 1:
+            label = f"{label}.{_face_name(plane_normal[p], float(outward[i]))}"
+            seen[label] = seen.get(label, 0) + 1
+            label += f"_{seen[label]}" if seen[label] > 1 else ""
+        labels[p].append((-float(size[i]), label))
     names = []
     for sharing in labels:
         # A house's bottom in the plane of the ground is not worth naming.
         large = [label for area, label in sorted(sharing) if -area >= SHARED_NAME * -min(sharing)[0]]
         names.append("+".join(large[:2]) + (f"+{len(large) - 2}" if len(large) > 2 else ""))
     return tuple(names)
+
+
+def _bounds(count: int, owner: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (M, 3) of the bounding boxes of all objects; an object without triangles has an empty one."""
+    lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lower, owner, triangles.min(axis=1))
+    np.maximum.at(upper, owner, triangles.max(axis=1))
+    return lower, upper
 
 
 def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance: float = CLEARANCE) -> None:
@@ -161,14 +170,13 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     for name, point in zip(label, stacked, strict=True):
         if not np.all(np.isfinite(point)):
             raise SceneError(f"{name} has the position {point.tolist()}; give finite numbers in meters")
+    lower, upper = _bounds(len(surfaces.objects), surfaces.triangle_object, surfaces.triangles)
     for index, owner in enumerate(surfaces.objects):
-        mesh = surfaces.triangles[surfaces.triangle_object == index]
-        if not len(mesh):
-            continue
-        near = np.all(
-            (stacked >= mesh.min((0, 1)) - clearance) & (stacked <= mesh.max((0, 1)) + clearance), axis=1
-        )
+        near = np.all((stacked >= lower[index] - clearance) & (stacked <= upper[index] + clearance), axis=1)
         rows = np.flatnonzero(near)
+        if not len(rows):
+            continue
+        mesh = surfaces.triangles[surfaces.triangle_object == index]
         for chunk in np.array_split(rows, max(1, len(rows) * len(mesh) // 200_000)):
             close = distance_to_triangles(stacked[chunk], mesh).min(axis=1, initial=np.inf) < clearance
             if np.any(close):

@@ -100,7 +100,7 @@ class Tracer:
         self._object_of = np.full(max(identifiers, default=0) + 1, -1, dtype=np.intp)
         for identifier, name in identifiers.items():
             self._object_of[identifier] = index.get(name, -1)
-        self._solver = CountingSolver()
+        self._solver = CountingSolver(self.settings.deterministic)
 
     def _add_points(self) -> None:
         """One millimeter-sized target below everything, so that it hides nothing, carries all the points."""
