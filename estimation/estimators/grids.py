@@ -144,8 +144,7 @@ def speed_grid(model: SignalModel, max_speed: float, oversampling: float, regist
     if duration == 0 or max_speed == 0:
         return np.zeros(1)
     bins = 2 * max_speed * duration / model.waveform.wavelength
-    # Whole vector registers: multiples of sixteen once there are that many.
-    count = (
-        int(np.ceil(bins * oversampling)) + 1 if bins < 8 else 16 * max(round(bins * oversampling / 16), 1)
-    )
+    count = int(np.ceil(bins * oversampling)) + 1
+    if registers and bins > 8:
+        count = 16 * max(round(bins * oversampling / 16), 1)
     return np.linspace(-max_speed, max_speed, count)

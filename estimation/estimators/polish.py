@@ -23,7 +23,7 @@ NEIGHBORS = 8
 class CellProjector:
     """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they started from."""
 
-    def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float) -> None:
+    def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float, gather=None) -> None:
         self.model, self.grid = model, grid
         self.filtered = filtered.reshape(len(filtered), -1)
         count = min(NEIGHBORS, len(grid.delays))
@@ -32,10 +32,15 @@ class CellProjector:
         cells = grid.delays[:count] - grid.delays[0]
         self.inverse = np.linalg.pinv(np.exp(-2j * np.pi * np.outer(grid.tones, cells)))
         self.count = count
+        # The search may have put symbols in an order of its own.
+        self.restore = None if gather is None else np.argsort(gather)
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
         """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
         partial = self.at_delay(blocks[0][0], index)
+        if self.restore is not None:
+            shape = partial.shape
+            partial = partial.reshape(*shape[:2], len(self.restore), -1)[:, :, self.restore].reshape(shape)
         return project_rest(self.model, partial, blocks[0], self.model.bands[0])
 
     def at_delay(self, vectors, index):

@@ -38,8 +38,10 @@ class Projector:
         vector = np.exp(rate * offset[:, None])
         # d/d tau of v(c) o v(tau - c) is rate * v: the frequency factor is common to both forms.
         inside = np.stack([vector, rate * vector], axis=1) @ self._basis.conj()
-        compressed = np.stack([self._windows[w] for w in window])
-        partial = np.matmul(inside.conj().astype(np.complex64), compressed)
+        inside = inside.conj().astype(np.complex64)
+        partial = np.empty((*inside.shape[:2], self._windows[0].shape[1]), np.complex64)
+        for p, w in enumerate(window):
+            np.matmul(inside[p], self._windows[w], out=partial[p])
         return project_rest(self.model, partial, blocks[0], self.model.bands[0])
 
     def _window_of(self, delay):

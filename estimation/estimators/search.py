@@ -93,7 +93,7 @@ class StagedSearch:
 
     def projector(self, data, filtered, lin, points: Geometry) -> CellProjector:
         """What candidates are polished on."""
-        return CellProjector(data.model, self.delay, filtered, points.delay)
+        return CellProjector(data.model, self.delay, filtered, points.delay, self.gather)
 
     @staticmethod
     def build(
