@@ -21,7 +21,7 @@ from dopslam.models.kernels import propagate_state
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.birth import new_hypotheses
-from dopslam.slam.hypotheses import Associations, best_associations, local_hypotheses
+from dopslam.slam.hypotheses import Associations, best_associations, local_hypotheses, normalize
 from dopslam.slam.pmb import (
     BS_TRACK,
     NO_TRACK,
@@ -33,7 +33,7 @@ from dopslam.slam.pmb import (
     initial_density,
     select,
 )
-from dopslam.slam.update import normalize_weights, update
+from dopslam.slam.update import update
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def worth_updating(associations, negligible):
         keep
     ] >= associations.log_weight[0] + math.log(negligible):
         keep += 1
-    return Associations(normalize_weights(associations.log_weight[:keep]), associations.track[:keep])
+    return Associations(normalize(associations.log_weight[:keep]), associations.track[:keep])
 
 
 @compiled

@@ -28,7 +28,7 @@ from dopslam.slam.ek_pmb import (
     filter_steps,
 )
 from dopslam.slam.pmb import BS_TRACK, Model, compile_model
-from dopslam.slam.window import build, marginalize, solve_window
+from dopslam.slam.window import build, eliminate, solve_window
 
 Array = NDArray[np.float64]
 
@@ -81,11 +81,16 @@ class _Window:
 
     def drop(self, gone: list[int]) -> None:
         """Marginalize landmarks out of the prior."""
-        rows = np.array([self.n + 3 * i + j for i in gone for j in range(3)], dtype=np.int64)
-        self.information, self.vector = marginalize(self.information, self.vector, rows)
+        self._eliminate(np.array([self.n + 3 * i + j for i in gone for j in range(3)], dtype=np.int64))
         keep = [i for i in range(len(self.tracks)) if i not in gone]
         self.tracks = [self.tracks[i] for i in keep]
         self.kinds, self.landmarks = self.kinds[keep], self.landmarks[keep]
+
+    def _eliminate(self, drop: NDArray[np.int64]) -> None:
+        keep = np.delete(np.arange(len(self.vector)), drop)
+        self.information, self.vector, valid = eliminate(self.information, self.vector, keep, drop)
+        if not valid:
+            raise FilterError("smoother: information matrix is singular; use a longer lag or a tighter prior")
 
     def agree(
         self, position: Array, kind: NDArray[np.int64], track: NDArray[np.int64], confirmed: Array
@@ -138,9 +143,8 @@ class _Window:
 
     def slide(self, z: Array, whiteners: Array) -> None:
         """Marginalize the tail state, then take the next state's measurements into the prior."""
-        n = self.n
         when, which, z_next, whiteners_next = self.active(z, whiteners, only=self.first + 1)
-        information, vector, _ = build(
+        self.information, self.vector, _ = build(
             self.information,
             self.vector,
             self.states[:2],
@@ -154,7 +158,7 @@ class _Window:
             self.model,
             False,
         )
-        self.information, self.vector = marginalize(information, vector, np.arange(n))
+        self._eliminate(np.arange(self.n))
         self.states = self.states[1:].copy()
         self.first += 1
         self.factors = [f for f in self.factors if f[0] > self.first]
@@ -195,13 +199,13 @@ def run(
         likely = existence * np.where(kind == 1, va, 1.0 - va)
         window.agree(position, kind, track, likely > smoothing.confirmed)
         window.solve(z, whiteners)
-        n, base = window.n, window.states.size
+        n = window.n
         means.append(window.states[-1].copy())
-        covariances.append(window.covariance[base - n : base, base - n : base].copy())
+        covariances.append(window.covariance[:n, :n].copy())
         slot = {t: i for i, t in enumerate(window.tracks)}
         for i, t in enumerate(track.tolist()):
             if t in slot:
-                rows = slice(base + 3 * slot[t], base + 3 * slot[t] + 3)
+                rows = slice(n + 3 * slot[t], n + 3 * slot[t] + 3)
                 position[i], spread[i] = window.landmarks[slot[t]], window.covariance[rows, rows]
         maps.append((position, spread))
         if len(window.states) > smoothing.lag + 1:

@@ -1,6 +1,4 @@
-"""The joint update of one data association, and the projection of all of them onto one Gaussian (PMBM to
-PMB).
-"""
+"""The update of the density under the kept data associations, and its projection onto one PMB."""
 
 from __future__ import annotations
 
@@ -11,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled
-from dopslam.models.kernels import VA, cholesky, linearize, solve_lower, subtract
-from dopslam.slam.birth import fit_landmark, log_spreading, starting_point
+from dopslam.models.kernels import VA, cholesky, solve_lower, subtract
+from dopslam.slam.birth import log_spreading
+from dopslam.slam.hypotheses import normalize
 from dopslam.slam.linear import innovation_covariance, linearize_block, project_rows
+from dopslam.slam.newborn import give_birth, newborn_table
 from dopslam.slam.pmb import PMB, start_of
+from dopslam.slam.projection import cap_existence, drop_cross_covariances, moment_match
 
 Array = NDArray[np.float64]
 
@@ -235,142 +236,6 @@ def weights_after(density, local, scan, association, model, weight, reference, d
 
 
 @compiled
-def give_birth(mean, covariance, n, size, blocks, scan, measurement, kinds, association, start, model):
-    """Append the newborn blocks of one association; `mean` and `covariance` have room for them beyond `size`.
-
-    With G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹ the newborn's error is -G(A e_s + ε): its covariance with the UE and every
-    landmark is -G A P_s· and between two births G A P_s AᵀGᵀ. The UE itself stays as it is.
-    """
-    m = scan.z.shape[0] if scan.z.shape[0] == 0 else scan.z.shape[1]
-    gain, own = np.empty((3, m)), np.empty((3, 3))
-    predicted, by_state, by_landmark = np.empty(m), np.empty((m, n)), np.empty((m, 3))
-    state_covariance = covariance[:n, :n].copy()
-    state = mean[:n]
-    for c in range(measurement.shape[0]):
-        p, kind = measurement[c], kinds[c]
-        at = size + 3 * c
-        if association[p] >= 0:  # explained otherwise here; the block has weight zero
-            for i in range(3):
-                mean[at + i] = start[c, i]
-                covariance[at + i, at + i] = 1.0
-            continue
-        x = mean[at : at + 3]
-        for i in range(3):
-            x[i] = start[c, i]
-        valid, _, _ = fit_landmark(
-            scan.z[p], scan.covariance[p], state, state_covariance, kind, model.site, -np.inf, x, gain, own
-        )
-        if not valid:  # the updated UE makes the path impossible; keep the prediction's point, widely
-            if not starting_point(scan.z[p], state, kind, model.site, x):
-                for i in range(3):
-                    x[i] = start[c, i]
-            for i in range(3):
-                covariance[at + i, at + i] = 100.0
-            continue
-        linearize(state, x, kind, model.site, predicted, by_state, by_landmark)
-        pull = np.zeros((3, n))
-        for i in range(3):
-            for k in range(n):
-                for r in range(m):
-                    pull[i, k] -= gain[i, r] * by_state[r, k]
-        for i in range(3):
-            for j in range(at):
-                value = 0.0
-                for k in range(n):
-                    value += pull[i, k] * covariance[k, j]
-                covariance[at + i, j] = value
-                covariance[j, at + i] = value
-            for j in range(3):
-                covariance[at + i, at + j] = own[i, j]
-
-
-@compiled
-def moment_match(log_weight, means, covariances, weights, n):
-    """Moments of a mixture in which block b of component a has existence weights[a, b].
-
-    Blocks use weights conditional on their existence, w_ab ∝ w_a β_ab; the Gram form Σ_a √(w_ai w_aj)(P_a +
-    δδᵀ) keeps the whole matrix positive semidefinite.
-    """
-    components, size = means.shape
-    blocks = weights.shape[1]
-    share = np.zeros((components, size))
-    for b in range(blocks):
-        total = 0.0
-        for a in range(components):
-            total += math.exp(log_weight[a]) * weights[a, b]
-        low = 0 if b == 0 else start_of(n, b)
-        high = n if b == 0 else low + 3
-        for a in range(components):
-            value = math.exp(log_weight[a]) * weights[a, b] / total if total > 0.0 else 1.0 / components
-            for i in range(low, high):
-                share[a, i] = value
-    # Headings are not wrapped: all components descend from one prior and stay within a fraction of a turn.
-    mean = np.zeros(size)
-    for a in range(components):
-        for i in range(size):
-            mean[i] += share[a, i] * means[a, i]
-    covariance = np.zeros((size, size))
-    root = np.sqrt(share)
-    delta = np.empty(size)
-    for a in range(components):
-        for i in range(size):
-            delta[i] = means[a, i] - mean[i]
-        for i in range(size):
-            scale = root[a, i]
-            if scale > 0.0:
-                for j in range(size):
-                    covariance[i, j] += scale * root[a, j] * (covariances[a, i, j] + delta[i] * delta[j])
-    return mean, covariance
-
-
-@compiled
-def drop_cross_covariances(covariance, n):
-    """Keep the marginals of the UE and of every landmark only, (31)-(32)."""
-    size = covariance.shape[0]
-    for i in range(size):
-        for j in range(size):
-            own_i = -1 if i < n else (i - n) // 3
-            own_j = -1 if j < n else (j - n) // 3
-            if own_i != own_j:
-                covariance[i, j] = 0.0
-
-
-@compiled
-def cap_existence(weight, track, limit):
-    """Scale the siblings of a track so that its existence stays at or below `limit`; the BS is exempt."""
-    b = 1
-    while b < track.shape[0]:
-        last = b
-        total = 0.0
-        while last < track.shape[0] and track[last] == track[b]:
-            total += weight[last]
-            last += 1
-        if total > limit:
-            for i in range(b, last):
-                weight[i] *= limit / total
-        b = last
-
-
-@compiled
-def newborn_table(log_weight, association, log_term, log_new, prune):
-    """Measurement and kind of every birth whose weight over all associations reaches `prune`."""
-    count = log_new.shape[0]
-    measurement, kinds = np.empty(2 * count, dtype=np.int64), np.empty(2 * count, dtype=np.int64)
-    total = 0
-    for p in range(count):
-        new = 0.0
-        for a in range(association.shape[0]):
-            if association[a, p] < 0:
-                new += math.exp(log_weight[a])
-        for t in range(2):
-            if new * math.exp(log_term[p, t] - log_new[p]) >= prune:
-                measurement[total] = p
-                kinds[total] = VA + t
-                total += 1
-    return measurement[:total].copy(), kinds[:total].copy()
-
-
-@compiled
 def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     """Update under every association in `chosen`, project onto one PMB.
 
@@ -403,9 +268,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
         covariances[a, :size, :size] = covariance
         weights_after(density, local, scan, association, model, weights[a], references[a], detections[a])
         if born > 0:
-            give_birth(
-                means[a], covariances[a], n, size, old, scan, measurement, kinds, association, start, model
-            )
+            give_birth(means[a], covariances[a], n, size, scan, measurement, kinds, association, start, model)
         for c in range(born):
             p, t = measurement[c], kinds[c] - VA
             if association[p] < 0:
@@ -419,7 +282,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
             best, distance, rows = log_weight[a], d, 0
             for p in range(count):
                 rows += m if association[p] >= 0 else 0
-    log_weight = normalize_weights(log_weight)
+    log_weight = normalize(log_weight)
     if components == 1:
         mean, covariance = means[0], covariances[0]
     else:
@@ -456,13 +319,3 @@ def single_evidence(density, local, association):
             b = likeliest_block(local, p, t)
             total += local.log_detected[p, b] - math.log(density.weight[b] * local.detection[b])
     return total
-
-
-@compiled
-def normalize_weights(log_weight):
-    """Log-weights that sum to one."""
-    top = log_weight.max()
-    total = 0.0
-    for i in range(log_weight.shape[0]):
-        total += math.exp(log_weight[i] - top)
-    return log_weight - (top + math.log(total))

@@ -7,14 +7,11 @@ the measurements (3) and of a Gaussian prior over (s_tail, x_1 … x_H).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dopslam.compiled import compiled
-from dopslam.models.kernels import cholesky, linearize, propagate_state, subtract
+from dopslam.models.kernels import cholesky, linearize, propagate_state, solve_lower, subtract
 
-Array = NDArray[np.float64]
-
-CONVERGED = 1e-4  # squared Mahalanobis length of a Gauss-Newton step
+CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step
 
 
 @compiled
@@ -169,7 +166,7 @@ def solve_window(
     Returns
     -------
     states, landmarks : the solution
-    covariance : inverse information at the solution
+    covariance : of (s_now, x_1 … x_H) at the solution
     steps : int; iterations used, -1 if the problem is singular
     """
     window, n = states.shape
@@ -254,35 +251,57 @@ def solve_window(
         states, landmarks = new_states, new_landmarks
         if length < CONVERGED:
             break
-    # covariance = scale · (F Fᵀ)⁻¹ · scale
-    inverse = np.zeros((size, size))
-    for j in range(size):
-        inverse[j, j] = 1.0 / factor[j, j]
-        for i in range(j + 1, size):
-            value = 0.0
-            for k in range(j, i):
-                value -= factor[i, k] * inverse[k, j]
-            inverse[i, j] = value / factor[i, i]
-    covariance = inverse.T @ inverse
-    for i in range(size):
-        for j in range(size):
-            covariance[i, j] *= scale[i] * scale[j]
+    # The trailing block of (F Fᵀ)⁻¹ is (F₂ F₂ᵀ)⁻¹ with F₂ the trailing block of F: all that is asked for.
+    head = base - n
+    tail = size - head
+    inverse = np.zeros((tail, tail))
+    for j in range(tail):
+        inverse[j, j] = 1.0
+    solve_lower(factor[head:, head:].copy(), tail, inverse)
+    covariance = inverse.T.copy() @ inverse
+    for i in range(tail):
+        for j in range(tail):
+            covariance[i, j] *= scale[head + i] * scale[head + j]
     return states, landmarks, covariance, used
 
 
-def marginalize(information: Array, vector: Array, drop: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Normal equations without the rows `drop` (Schur complement); rows without information just go."""
-    size = len(vector)
-    keep = np.setdiff1d(np.arange(size), drop)
-    drop = drop[np.diag(information)[drop] > 0]
-    if not len(drop):
-        return information[np.ix_(keep, keep)], vector[keep]
-    cross = information[np.ix_(keep, drop)]
-    inner = information[np.ix_(drop, drop)]
-    scale = 1.0 / np.sqrt(np.diag(inner))
-    solved = np.linalg.solve(
-        inner * scale[:, None] * scale, scale[:, None] * np.column_stack([cross.T, vector[drop]])
-    )
-    solved *= scale[:, None]
-    left = information[np.ix_(keep, keep)] - cross @ solved[:, :-1]
-    return 0.5 * (left + left.T), vector[keep] - cross @ solved[:, -1]
+@compiled
+def eliminate(information, vector, keep, drop):
+    """Normal equations on the rows `keep` without those in `drop` (Schur complement).
+
+    Rows of `drop` without information just go; False if the others are singular.
+    """
+    informed = 0
+    for i in range(drop.shape[0]):
+        informed += 1 if information[drop[i], drop[i]] > 0.0 else 0
+    count = keep.shape[0]
+    inner = np.empty((informed, informed))
+    cross = np.empty((informed, count + 1))
+    rows = np.empty(informed, dtype=np.int64)
+    k = 0
+    for i in range(drop.shape[0]):
+        if information[drop[i], drop[i]] > 0.0:
+            rows[k] = drop[i]
+            k += 1
+    for i in range(informed):
+        scale = 1.0 / np.sqrt(information[rows[i], rows[i]])
+        for j in range(informed):
+            inner[i, j] = information[rows[i], rows[j]] * scale / np.sqrt(information[rows[j], rows[j]])
+        for j in range(count):
+            cross[i, j] = information[rows[i], keep[j]] * scale
+        cross[i, count] = vector[rows[i]] * scale
+    valid = cholesky(inner, informed)
+    if valid:
+        solve_lower(inner, informed, cross)
+    left, right = np.empty((count, count)), np.empty(count)
+    for i in range(count):
+        right[i] = vector[keep[i]]
+        for k in range(informed):
+            right[i] -= cross[k, i] * cross[k, count]
+        for j in range(count):
+            left[i, j] = information[keep[i], keep[j]]
+        for k in range(informed):
+            w = cross[k, i]
+            for j in range(count):
+                left[i, j] -= w * cross[k, j]
+    return left, right, valid
