@@ -30,7 +30,7 @@ class TraceSettings:
     refraction : whether paths may pass through walls (outdoors rarely wanted: it multiplies the paths)
     seed : of the rays' sampling
     chunk : receivers per call of the tracer at most, up to 2000; many rays or reflections make it smaller
-    deterministic : whether gains repeat to the last bit and do not depend on the chunks; without, they may differ by
+    deterministic : whether gains repeat to the last bit, whatever the chunks; without, they may differ by
         1e-6, and many rays or reflections take a fraction of the time and memory
     polarization : of the isotropic antennas (base station, receiver), each ``"V"``, ``"H"``, ``"+45"`` or
         ``"-45"``
