@@ -17,7 +17,9 @@ from .detections import Detections, Flag
 from .errors import EstimationError, ModelError, SignalError
 from .estimators.detect import detection_probability
 from .estimators.grids import View
+from .estimators.esprit import Esprit
 from .estimators.nomp import Nomp
+from .estimators.sage import Sage
 from .fisher import crb, fisher_information, snr
 from .signal.arrays import Array, Manifold, Pattern, cylinder, ula, ura
 from .signal.directions import angles_of, unit_vectors
@@ -32,6 +34,7 @@ __all__ = [
     "SPEED_OF_LIGHT",
     "Array",
     "Detections",
+    "Esprit",
     "EstimationError",
     "Flag",
     "Manifold",
@@ -39,6 +42,7 @@ __all__ = [
     "Nomp",
     "PathTable",
     "Pattern",
+    "Sage",
     "Schedule",
     "SignalError",
     "SignalModel",

@@ -150,15 +150,20 @@ class Nomp:
                     lin = grown
             if not len(accepted) or (len(efforts) == 1 and not more):
                 efforts.pop(0)
-        lin = self._pruned(data, lin, noise)
+        return self._reported(data, self._pruned(data, lin, noise), noise)
+
+    def _reported(self, data: Projector, lin: Linearization | None, noise: Noise) -> Detections:
         if lin is None:
             return report.empty(self, noise.variance(None))
-        lin = joint_fit(data, lin, noise.variance(lin), tolerance=1e-3)
+        lin = self._fit(data, lin, noise, tolerance=1e-3)
         return report.detections(self, data, lin, noise.variance(lin))
 
-    def _fit(self, data: Projector, start: Geometry, noise: Noise) -> Linearization:
-        lin = linearize(data, start)
-        return joint_fit(data, lin, noise.variance(lin), tolerance=0.5)
+    def _fit(
+        self, data: Projector, start: Geometry | Linearization, noise: Noise, tolerance: float = 0.5
+    ) -> Linearization:
+        """Refine all paths until the predicted gain in log-likelihood falls below ``tolerance``."""
+        lin = start if isinstance(start, Linearization) else linearize(data, start)
+        return joint_fit(data, lin, noise.variance(lin), tolerance)
 
     def _candidates(
         self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort
@@ -235,7 +240,7 @@ class Nomp:
             if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.threshold:
                 continue
             rest = np.delete(np.arange(len(worth)), index)
-            without = joint_fit(data, lin.geometry.take(rest), variance, tolerance=0.5)
+            without = self._fit(data, lin.geometry.take(rest), noise)
             if lin.explained - without.explained < self.threshold * variance:
                 return without
         return None

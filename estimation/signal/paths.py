@@ -103,6 +103,13 @@ class Geometry:
             *(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
         )
 
+    def replaced(self, index: int, path: Geometry) -> Geometry:
+        """With path number ``index`` exchanged for a single other one."""
+        columns = [getattr(self, f.name).copy() for f in fields(self)]
+        for column, f in zip(columns, fields(self), strict=True):
+            column[index] = getattr(path, f.name)[0]
+        return Geometry(*columns)
+
     def wrapped(self, period: float) -> Geometry:
         """Delays reduced to [0, period); gains must be solved for again, since a period may flip their sign."""
         return replace(self, delay=np.mod(self.delay, period))
