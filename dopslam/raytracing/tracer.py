@@ -92,6 +92,10 @@ class Tracer:
 
     def _prepare_scene(self) -> None:
         rt, mi = backend()
+        # A scene that another tracer has used still holds that tracer's devices and target.
+        leftover = [*self.scene.transmitters, *self.scene.receivers]
+        for name in leftover + [name for name in (_TARGET, f"{_TARGET}-material") if self.scene.get(name)]:
+            self.scene.remove(name)
         self.scene.add(rt.Transmitter(name="bs", position=mi.Point3f(*map(float, self.bs_position))))
         if len(self.points.names):
             self._add_points()

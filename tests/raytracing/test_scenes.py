@@ -34,7 +34,7 @@ def test_courtyard(expected_paths):
     )
     window = owner[names == "SP window"]
     assert len(window) == len(steps)
-    # The oracle's planes are exact and all reflect: leave out the panes, 4 mm in front of theirs, and absorbers.
+    # The oracle's planes are exact and all reflect: leave out the panes (4 mm in front) and the absorbers.
     surfaces = tracer.surfaces
     kept = np.array(["window" not in surfaces.objects[i] for i in surfaces.triangle_object])
     bare = replace(surfaces, triangles=surfaces.triangles[kept], triangle_plane=surfaces.triangle_plane[kept])

@@ -9,7 +9,7 @@ import pytest
 
 from dopslam.errors import SceneError
 from dopslam.geometry import zenith_azimuth
-from dopslam.raytracing import ScatterPoints, SceneSource, Tracer, TraceSettings, join, trace
+from dopslam.raytracing import ScatterPoints, SceneSource, Tracer, TraceSettings, join, load_scene, trace
 from dopslam.records import SPEED_OF_LIGHT, Kind, same
 
 pytestmark = pytest.mark.rt
@@ -305,3 +305,13 @@ def test_a_full_buffer_of_candidates_is_noticed(ring_xml, ring_track, ring, monk
     landmarks, paths = trace(SceneSource(ring_xml), CARRIER, BS, *ring_track, POINTS)
     assert same(paths, ring[1])
     assert same(landmarks, ring[0])
+
+
+def test_a_loaded_scene_serves_several_tracers(ring_xml, ring_track, ring):
+    loaded = load_scene(SceneSource(ring_xml), CARRIER)
+    first = ScatterPoints(("a", "b"), [[10.0, 20.0, 5.0], [-10.0, 20.0, 5.0]])
+    next(Tracer(loaded, CARRIER, [10.0, 0, 20], first).chunks(ring_track[0]))
+    landmarks, paths = trace(loaded, CARRIER, BS, *ring_track, POINTS)
+    assert same(landmarks, ring[0]) and same(paths, ring[1])
+    _, without = trace(loaded, CARRIER, BS, *ring_track)
+    assert len(without.a) == 40 * 5
