@@ -91,13 +91,22 @@ def version_of(path: Path) -> tuple[int, ...]:
     """(major, minor, patch) of a libLLVM, asked in a subprocess; () if it is missing, damaged or older than
     16.
     """
+    command = [sys.executable, "-I", "-S", "-c", _ASK_VERSION, str(path)]
     try:
-        answer = subprocess.run(
-            [sys.executable, "-I", "-S", "-c", _ASK_VERSION, str(path)],
-            capture_output=True, text=True, timeout=60, check=True,
-        )  # fmt: skip
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         return tuple(int(word) for word in answer.stdout.split())
-    except (OSError, subprocess.SubprocessError, ValueError):
+    except (OSError, TypeError):  # no interpreter to start: embedded Python, or it may not be executed
+        return () if 0 < _number(path) < MINIMUM_VERSION else _ask_here(path)
+    except (subprocess.SubprocessError, ValueError):
+        return ()
+
+
+def _ask_here(path: Path) -> tuple[int, ...]:
+    try:
+        numbers = [ctypes.c_uint() for _ in range(3)]
+        ctypes.CDLL(str(path)).LLVMGetVersion(*map(ctypes.byref, numbers))
+        return tuple(number.value for number in numbers)
+    except (OSError, AttributeError):
         return ()
 
 

@@ -96,3 +96,13 @@ def test_looking_does_not_load_anything_here():
     subprocess.run(
         [sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
     )
+
+
+def test_an_interpreter_that_cannot_be_started_asks_itself(tmp_path, monkeypatch):
+    real = next((c for c in llvm.candidates() if c.works), None)
+    if real is None:
+        pytest.skip("no LLVM here")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "no_python"))
+    assert llvm.version_of.__wrapped__(real.path) == real.version  # not the cached answer
+    assert llvm.version_of(tmp_path / "libLLVM-15.so") == ()
+    assert llvm.version_of(tmp_path / "libLLVM-18.so") == ()

@@ -134,8 +134,10 @@ def _verdict() -> tuple[bool, str]:
         trial = subprocess.run(
             [sys.executable, "-c", _KERNEL.format(backend)], capture_output=True, text=True, timeout=120
         )
-    except (OSError, subprocess.SubprocessError) as error:
-        return False, f"Tracing is not possible: the trial kernel did not run ({error})."
+    except OSError as error:
+        return True, f"{library or 'CUDA'} should work; no process could be started to try it ({error})."
+    except subprocess.SubprocessError as error:
+        return False, f"Tracing is not possible: the trial kernel did not finish ({error})."
     if trial.returncode == 0 and trial.stdout.strip().endswith("ok"):
         return True, f"Ready to trace with {'CUDA' if backend == 'drjit.cuda' else library}."
     lines = trial.stderr.strip().splitlines() or [f"exit code {trial.returncode}"]
