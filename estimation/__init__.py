@@ -13,10 +13,12 @@ Usable alone: this package knows nothing of ray tracing or SLAM. A minimal run::
     detections = Nomp(model).run(synthesize(model, paths, noise_variance=1.0, rng=rng))
 """
 
+from .ambiguity import Ambiguity, ScheduleWarning, ambiguity, check_schedule
 from .detections import Detections, Flag
 from .errors import EstimationError, ModelError, SignalError
 from .estimators.detect import detection_probability
 from .estimators.grids import View
+from .estimators.dmc import exponential_profile, pilot_covariance
 from .estimators.esprit import Esprit
 from .estimators.nomp import Nomp
 from .estimators.sage import Sage
@@ -25,6 +27,7 @@ from .signal.arrays import Array, Manifold, Pattern, cylinder, ula, ura
 from .signal.directions import angles_of, unit_vectors
 from .signal.model import SignalModel
 from .signal.paths import PARAMETERS, PathTable
+from .signal.patterns import CosinePattern, DipolePattern, EadfArray, outward
 from .signal.schedule import Schedule, antenna_switching, dft_beams, digital, random_phase_beams, sweep
 from .signal.synthesis import synthesize, white_noise
 from .signal.waveform import SPEED_OF_LIGHT, Waveform, comb
@@ -32,8 +35,12 @@ from .signal.waveform import SPEED_OF_LIGHT, Waveform, comb
 __all__ = [
     "PARAMETERS",
     "SPEED_OF_LIGHT",
+    "Ambiguity",
     "Array",
+    "CosinePattern",
     "Detections",
+    "DipolePattern",
+    "EadfArray",
     "Esprit",
     "EstimationError",
     "Flag",
@@ -44,19 +51,25 @@ __all__ = [
     "Pattern",
     "Sage",
     "Schedule",
+    "ScheduleWarning",
     "SignalError",
     "SignalModel",
     "View",
     "Waveform",
+    "ambiguity",
     "angles_of",
     "antenna_switching",
+    "check_schedule",
     "comb",
     "crb",
     "cylinder",
     "detection_probability",
     "dft_beams",
     "digital",
+    "exponential_profile",
     "fisher_information",
+    "outward",
+    "pilot_covariance",
     "random_phase_beams",
     "snr",
     "sweep",

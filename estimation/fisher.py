@@ -21,7 +21,7 @@ def fisher_information(model: SignalModel, paths: PathTable, noise_variance: flo
     if not noise_variance > 0:
         raise EstimationError(f"fisher_information: noise_variance must be positive, got {noise_variance}")
     blocks = model.evaluate(paths.geometry)
-    matrix = gram(blocks, model.columns)
+    matrix = gram(model, blocks)
     lin = Linearization(paths.geometry, blocks, paths.gain, matrix, 0.0, np.zeros((len(paths), 6)))
     return information(lin, model.active) * 2 / noise_variance
 
@@ -36,7 +36,7 @@ def crb(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
 
 def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
     """Post-integration SNR rho (P,) of each path with all others known but their gains: ``|g|^2 / (sigma^2 [G^-1]_pp)``."""
-    matrix = gram(model.evaluate(paths.geometry), model.columns)[:, 0, :, 0]
+    matrix = gram(model, model.evaluate(paths.geometry))[:, 0, :, 0]
     return np.abs(paths.gain) ** 2 / (noise_variance * np.diag(np.linalg.inv(matrix)).real)
 
 

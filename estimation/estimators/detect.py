@@ -73,7 +73,7 @@ def search_volume(
         departures[rng.integers(len(departures), size=samples)],
         speed,
     )
-    matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), active)[:, active][:, :, active]
+    matrices = metric(gram_diagonal(model, model.evaluate(geometry)), active)[:, active][:, :, active]
     root = np.sqrt(np.maximum(np.linalg.det(matrices), 0)).mean() if active.any() else 1.0
     extent = (max_delay if active[0] else 1.0) * (speeds[1] - speeds[0] if active[5] else 1.0)
     for number, pair in enumerate((active[1:3], active[3:5])):

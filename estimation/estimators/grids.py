@@ -134,6 +134,12 @@ class DelayGrid:
             out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
         return out.reshape(-1, *signal.shape[1:])
 
+    def equalizer(self, frequencies: Float, weight) -> Float:
+        """(L,) factors that give every cell the noise gain of white noise, ``sqrt(K / (v^H C^-1 v))``."""
+        vectors = np.exp(-2j * np.pi * np.outer(self.delays, frequencies))
+        gain = np.einsum("lk,lk->l", vectors.conj(), vectors @ weight.T).real
+        return np.sqrt(len(frequencies) / gain).astype(np.float32)
+
 
 def speed_grid(model: SignalModel, max_speed: float, oversampling: float, registers: bool = True) -> Float:
     """Trial speeds [m/s] over +-max_speed, ``oversampling`` per wavelength over duration.

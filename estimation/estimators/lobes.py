@@ -50,7 +50,7 @@ class LobeMap:
                 grid if end == "departure" else np.repeat(departures[:1], count, axis=0),
                 np.zeros(count),
             )
-            matrices = metric(gram_diagonal(model.evaluate(geometry), model.columns), model.active)
+            matrices = metric(gram_diagonal(model, model.evaluate(geometry)), model.active)
             step = great_circle(grid[:, None], grid[None])
             scales.append(matrices[0])
             return np.einsum("ija,iab,ijb->ij", step, matrices[:, part, part], step)

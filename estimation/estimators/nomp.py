@@ -7,19 +7,21 @@ wrong local optimum. After the last pass every component must be worth its thres
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..ambiguity import check_schedule
 from ..detections import Detections
 from ..errors import ModelError
-from ..signal.algebra import coherence
+from ..signal.algebra import coherence, signal_of, weighted_blocks
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry, PathTable
 from ..signal.synthesis import white_noise
 from . import report
 from .dense import DenseSearch
 from .detect import effective_volume, search_volume, threshold_for
+from .dmc import pilot_covariance
 from .grids import View, directions_in
 from .polish import separate_fit
 from .projector import Projector, delay_basis
@@ -42,6 +44,7 @@ class Nomp:
     max_paths : give up looking for more
     calibration : noise-only searches that measure the effective search volume when the estimator is made; 0 trusts Rice's formula
     threshold : fixed threshold on rho instead of a false-alarm rate
+    dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it
     """
 
     model: SignalModel
@@ -54,6 +57,7 @@ class Nomp:
     max_paths: int = 40
     calibration: int = 24
     threshold: float | None = None
+    dense_multipath: bool = False
     search_options: dict = field(default_factory=dict)
     _search: StagedSearch | DenseSearch = field(init=False, repr=False)
     _basis: np.ndarray | None = field(init=False, repr=False)
@@ -69,6 +73,8 @@ class Nomp:
         if not (np.isfinite(self.max_speed) and self.max_speed >= 0):
             raise ModelError(f"Nomp: max_speed must be finite and not negative, got {self.max_speed} m/s")
         object.__setattr__(self, "max_delay", longest)
+        if self.model.schedule.precoders is not None and self.max_speed > 0:
+            check_schedule(self.model, self.max_speed, self.departure_view)
         search = search_kind(self.model).build(
             self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options
         )
@@ -125,21 +131,49 @@ class Nomp:
         SignalError
             if the signal does not fit the model or is not finite.
         """
-        data = Projector(self.model, self.model.whiten(self.model.checked(signal)), self._basis)
-        noise = Noise(float(np.vdot(data.signal, data.signal).real), data.signal.size, noise_variance)
-        if noise.energy == 0.0:
+        white = self.model.whiten(self.model.checked(signal))
+        if not white.any():
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
+        start = None
+        if prior is not None and len(prior):
+            start = (prior.table if isinstance(prior, Detections) else prior).geometry
+        if not self.dense_multipath:
+            return self._reported(*self._search_all(self.model, white, start, noise_variance))
+        model = self.model
+        for inflation in (10.0, 1.0):
+            # First only what stands out clearly, lest false paths carry off the dense multipath that is to be measured.
+            _, lin, _ = self._search_all(model, white, start, noise_variance, inflation)
+            residual = white if lin is None else white - signal_of(model, lin.blocks, lin.gain)
+            model = replace(self.model, pilot_covariance=pilot_covariance(residual, model.waveform))
+            start, noise_variance = None if lin is None else lin.geometry, 1.0
+        return self._reported(*self._search_all(model, white, start, noise_variance))
+
+    def _search_all(
+        self,
+        model: SignalModel,
+        white,
+        start: Geometry | None,
+        noise_variance: float | None,
+        inflation: float = 1.0,
+    ) -> tuple[Projector, Linearization | None, Noise]:
+        """All passes of the search on a whitened signal."""
+        data = Projector(model, model.weighted(white), self._basis)
+        noise = Noise(float(np.vdot(white, data.signal).real), white.size, noise_variance, inflation)
         filtered = self._search.filtered(data.signal)
         lin = None
-        if prior is not None and len(prior):
-            table = prior.table if isinstance(prior, Detections) else prior
-            lin = self._eliminated(data, self._fit(data, table.geometry, noise), noise)
+        if start is not None and len(start):
+            lin = self._eliminated(data, self._fit(data, start, noise), noise)
         efforts = self._search.efforts
         while efforts and (lin is None or len(lin.gain) < self.max_paths):
             variance = noise.variance(lin)
-            residual = filtered if lin is None else self._search.without(filtered, lin.blocks, lin.gain)
+            residual = filtered
+            if lin is not None and model.subbands > 1:
+                # A path that squints is not one outer product: take it out of the data and filter again.
+                residual = self._search.filtered(data.signal - signal_of(model, lin.blocks, lin.gain))
+            elif lin is not None:
+                residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
-            accepted, more = self._accepted(found, statistic)
+            accepted, more = self._accepted(model, found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -150,7 +184,7 @@ class Nomp:
                     lin = grown
             if not len(accepted) or (len(efforts) == 1 and not more):
                 efforts.pop(0)
-        return self._reported(data, self._pruned(data, lin, noise), noise)
+        return data, self._pruned(data, lin, noise), noise
 
     def _reported(self, data: Projector, lin: Linearization | None, noise: Noise) -> Detections:
         if lin is None:
@@ -169,7 +203,13 @@ class Nomp:
         self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort
     ):
         """Refined candidates in a filtered residual (the paths ``lin`` are out of it) and their statistics, strongest first."""
-        points = self._search.candidates(residual, effort, variance)
+        model = data.model
+        scaled = residual
+        if model.weight is not None:
+            # Cells of delays with much dense power carry less signal: equal noise in every cell again.
+            scale = self._search.delay.equalizer(model.waveform.frequencies, model.weight)
+            scaled = residual * scale.reshape(-1, *[1] * (residual.ndim - 1))
+        points = self._search.candidates(scaled, effort, variance)
         if not len(points):
             return points, np.zeros(0)
         interest = np.inf if self.threshold is None else self.threshold * variance
@@ -180,10 +220,14 @@ class Nomp:
             energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max())
         )
         if len(significant):
-            significant = significant[lone(self.model, points.take(significant), energies[significant])]
+            significant = significant[lone(model, points.take(significant), energies[significant])]
             peaks = points.take(significant)
             cells = self._search.projector(data, residual, lin, peaks)
-            rivals = self._search.alternatives(self.model, cells, peaks, energies[significant])
+            rivals = (
+                Geometry.empty()
+                if model.subbands > 1
+                else self._search.alternatives(model, cells, peaks, energies[significant])
+            )
             if len(rivals):
                 cells = self._search.projector(data, residual, lin, rivals)
                 rivals, rival_energies = separate_fit(cells, rivals, variance, interest)
@@ -191,7 +235,7 @@ class Nomp:
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
 
-    def _accepted(self, found: Geometry, statistic) -> tuple[Geometry, bool]:
+    def _accepted(self, model: SignalModel, found: Geometry, statistic) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
         if not len(statistic):
             return found, False
@@ -199,7 +243,7 @@ class Nomp:
         strong = np.flatnonzero(statistic > least)
         if not len(strong):
             return found.take(strong), False
-        overlap = coherence(self.model, found)
+        overlap = coherence(model, found)
         taken = strong[distinct(overlap[np.ix_(strong, strong)], statistic[strong], len(strong), limit=0.25)]
         # Another peak may rise above the threshold once a path it overlaps with is gone; coherence near one is the same peak.
         leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(
@@ -234,7 +278,7 @@ class Nomp:
         """A refitted model with one component less that loses less than the threshold, if there is one."""
         variance = noise.variance(lin)
         worth = lin.drop / variance
-        overlap = (coherence(self.model, lin.geometry) - np.eye(len(worth))).max(axis=1, initial=0.0)
+        overlap = (coherence(data.model, lin.geometry) - np.eye(len(worth))).max(axis=1, initial=0.0)
         for index in np.argsort(worth):
             # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
             if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.threshold:
@@ -268,15 +312,17 @@ LEAST_NOISE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Energy and number of samples of a burst, and the noise variance if it is known."""
+    """Energy and number of samples of a burst, the noise variance if it is known, and a factor on it where caution is due."""
 
     energy: float
     samples: int
     known: float | None
+    inflation: float = 1.0
 
     def variance(self, lin: Linearization | None) -> float:
         """Known, or what the paths leave unexplained per degree of freedom (eight real parameters each)."""
         if self.known is not None:
-            return self.known
+            return self.known * self.inflation
         paths, explained = (0, 0.0) if lin is None else (len(lin.gain), lin.explained)
-        return max(self.energy - explained, LEAST_NOISE * self.energy) / max(self.samples - 4 * paths, 1)
+        rest = max(self.energy - explained, LEAST_NOISE * self.energy)
+        return self.inflation * rest / max(self.samples - 4 * paths, 1)

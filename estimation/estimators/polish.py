@@ -63,9 +63,7 @@ class ResidualProjector:
         inner = self.data.inner(geometry, blocks)
         if self.known is None:
             return inner
-        plain = [[mode[:, :1] for mode in modes] for modes in self.known.blocks]
-        columns = self.model.columns
-        overlap = gram(blocks, columns, plain, np.zeros((len(columns), 1), int))
+        overlap = gram(self.model, blocks, self.known.blocks, plain=True)
         return inner - overlap[..., 0] @ self.known.gain
 
 
@@ -126,7 +124,7 @@ def _assess(data, geometry: Geometry, index):
     model = data.model
     blocks = model.evaluate(geometry)
     inner = data.inner(geometry, blocks, index)
-    own = gram_diagonal(blocks, model.columns)
+    own = gram_diagonal(model, blocks)
     norm = np.maximum(own[:, 0, 0].real, 1e-300)
     gain = inner[:, 0] / norm
     slope = np.real(gain.conj()[:, None] * (inner - own[:, :, 0] * gain[:, None])[:, 1:])

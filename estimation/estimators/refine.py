@@ -53,7 +53,7 @@ def linearize(data: Projector, geometry: Geometry, exact: bool = False) -> Linea
     """Project the data on the paths' signatures and derivatives."""
     blocks = data.model.evaluate(geometry)
     inner = data.inner(geometry, blocks, exact)
-    matrix = gram(blocks, data.model.columns)
+    matrix = gram(data.model, blocks)
     plain = matrix[:, 0, :, 0]
     gain = np.linalg.solve(plain + 1e-9 * np.diag(np.diag(plain)), inner[:, 0])
     residual = inner - matrix[:, :, :, 0] @ gain

@@ -39,7 +39,7 @@ def empty(estimator: Nomp, noise_variance: float) -> Detections:
 
 def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
     """Sorted by rho, with delays reduced to the unambiguous range (and the gains solved for there)."""
-    model = estimator.model
+    model = data.model
     geometry = lin.geometry.take(np.argsort(lin.drop)[::-1]).wrapped(model.waveform.max_delay or np.inf)
     lin = linearize(data, geometry, exact=True)
     snr = lin.drop / noise_variance

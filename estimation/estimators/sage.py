@@ -45,7 +45,7 @@ class Sage(Nomp):
 
     def _maximize(self, data: Projector, geometry: Geometry, gain, path: int) -> Geometry:
         """One M-step: a Newton step in each coordinate of ``path`` in turn; ``gain`` (P,) is updated in place."""
-        model = self.model
+        model = data.model
         others = np.delete(np.arange(len(gain)), path)
         rest = model.evaluate(geometry.take(others)) if len(others) else None
         for coordinate in COORDINATES:
@@ -57,8 +57,8 @@ class Sage(Nomp):
             blocks = model.evaluate(own)
             inner = data.inner(own, blocks)
             if rest is not None:
-                inner = inner - cross_columns(model, blocks, rest) @ gain[others]
-            matrix = gram_diagonal(blocks, model.columns)
+                inner = inner - gram(model, blocks, rest, plain=True)[..., 0] @ gain[others]
+            matrix = gram_diagonal(model, blocks)
             gain[path] = inner[0, 0] / matrix[0, 0, 0].real
             slope = np.real(np.conj(gain[path]) * (inner - matrix[:, :, 0] * gain[path])[:, 1:]) * active
             curvature = metric(matrix, active) * np.abs(gain[path]) ** 2 * matrix[0, 0, 0].real
@@ -67,9 +67,3 @@ class Sage(Nomp):
             moved = own.moved(step)
             geometry = geometry.replaced(path, moved)
         return geometry
-
-
-def cross_columns(model, blocks, rest):
-    """``<d_a s_p, s_q>`` (P, 7, Q) between paths with derivatives and others without."""
-    plain = [[mode[:, :1] for mode in modes] for modes in rest]
-    return gram(blocks, model.columns, plain, np.zeros((len(model.columns), 1), int))[..., 0]

@@ -24,7 +24,7 @@ from ..signal.paths import Geometry
 from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import add_power, derotated, row_peaks
 from .lobes import RADIUS, LobeMap
-from .polish import CellProjector
+from .polish import CellProjector, ResidualProjector
 
 C64 = np.complex64
 RIVAL = 0.5
@@ -91,8 +91,10 @@ class StagedSearch:
         """The passes in order."""
         return [self.quick, self.full]
 
-    def projector(self, data, filtered, lin, points: Geometry) -> CellProjector:
+    def projector(self, data, filtered, lin, points: Geometry) -> CellProjector | ResidualProjector:
         """What candidates are polished on."""
+        if data.model.subbands > 1:
+            return ResidualProjector(data, lin)
         return CellProjector(data.model, self.delay, filtered, points.delay, self.gather)
 
     @staticmethod

@@ -55,63 +55,53 @@ def project_rest(model: SignalModel, partial: Complex, modes: list[Complex], ban
     return partial.astype(complex)[(slice(None), *index)]
 
 
-def gram(
-    blocks: Blocks,
-    columns: np.typing.NDArray,
-    other: Blocks | None = None,
-    other_columns: np.typing.NDArray | None = None,
-) -> Complex:
-    """Gram matrix (P, 7, P', 7) of signatures and derivatives, ``<d_a s_p, d_b s_q>``, a Hadamard product over modes."""
-    other = blocks if other is None else other
-    other_columns = columns if other_columns is None else other_columns
+def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain: bool = False) -> Complex:
+    """Gram matrix (P, 7, P', 7) of signatures and derivatives, ``<d_a s_p, C^-1 d_b s_q>``, a Hadamard product over modes.
+
+    ``C`` is the noise covariance over the pilots, if the model has one. With ``plain`` the others enter without derivatives: (P, 7, P', 1).
+    """
+    columns = model.columns
+    others_columns = np.zeros((len(columns), 1), int) if plain else columns
     total = 0
-    for modes, others in zip(blocks, other, strict=True):
+    for modes, others in zip(blocks, blocks if other is None else other, strict=True):
         product = 1
         for row, (left, right) in enumerate(zip(modes, others, strict=True)):
+            right = _weighted(model, row, right[:, :1] if plain else right)
             inner = left.conj().reshape(-1, left.shape[-1]) @ right.reshape(-1, right.shape[-1]).T
             inner = inner.reshape(len(left), -1, len(right), right.shape[1])
-            product = product * inner[:, columns[row]][:, :, :, other_columns[row]]
+            kept = columns[row] if left.shape[1] > 1 else np.zeros(1, int)
+            product = product * inner[:, kept][:, :, :, others_columns[row]]
         total = total + product
     return total
 
 
-def gram_diagonal(blocks: Blocks, columns: np.typing.NDArray) -> Complex:
+def gram_diagonal(model: SignalModel, blocks: Blocks) -> Complex:
     """Gram matrices (P, 7, 7) of each path with itself."""
     total = 0
     for modes in blocks:
         product = 1
         for row, block in enumerate(modes):
-            inner = np.matmul(block.conj(), block.swapaxes(1, 2))
-            product = product * inner[:, columns[row]][:, :, columns[row]]
+            inner = np.matmul(block.conj(), _weighted(model, row, block).swapaxes(1, 2))
+            product = product * inner[:, model.columns[row]][:, :, model.columns[row]]
         total = total + product
     return total
 
 
-def cross_gram(blocks: Blocks, other: Blocks) -> Complex:
-    """Gram matrix (P, P') of the signatures alone."""
-    total = 0
-    for modes, others in zip(blocks, other, strict=True):
-        product = 1
-        for left, right in zip(modes, others, strict=True):
-            product = product * (left[:, 0].conj() @ right[:, 0].T)
-        total = total + product
-    return total
+def coherence(model: SignalModel, geometry: Geometry):
+    """|normalized inner products| (P, P) of signatures, between 0 and 1."""
+    blocks = [[mode[:, :1] for mode in modes] for modes in model.evaluate(geometry)]
+    matrix = np.abs(gram(model, blocks, plain=True)[:, 0, :, 0])
+    norm = np.sqrt(np.diag(matrix))
+    return matrix / np.maximum(np.outer(norm, norm), 1e-300)
 
 
-def coherence(model: SignalModel, geometry: Geometry, other: Geometry | None = None):
-    """|normalized inner products| (P, P') of signatures, between 0 and 1."""
-    blocks = model.evaluate(geometry)
-    others = blocks if other is None else model.evaluate(other)
-    norms = [np.sqrt(np.abs(gram_norms(b))) for b in (blocks, others)]
-    return np.abs(cross_gram(blocks, others)) / np.maximum(np.outer(*norms), 1e-300)
+def _weighted(model: SignalModel, row: int, block: Complex) -> Complex:
+    """The block of mode ``row`` times the inverse pilot covariance, which acts on the delay mode only."""
+    return block if row or model.weight is None else block @ model.weight.T
 
 
-def gram_norms(blocks: Blocks):
-    """Squared norms (P,) of the signatures."""
-    total = 0
-    for modes in blocks:
-        product = 1
-        for mode in modes:
-            product = product * np.sum(np.abs(mode[:, 0]) ** 2, axis=-1)
-        total = total + product
-    return total
+def weighted_blocks(model: SignalModel, blocks: Blocks) -> Blocks:
+    """Blocks whose delay mode carries the inverse pilot covariance: how paths appear in data weighted by it."""
+    if model.weight is None:
+        return blocks
+    return [[_weighted(model, 0, modes[0]), *modes[1:]] for modes in blocks]

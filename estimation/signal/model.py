@@ -41,6 +41,8 @@ class SignalModel:
     waveform, schedule : pilots over frequency and time
     transmitter, receiver : arrays; AOD and AOA are measured in their parent frames
     subbands : number of sub-bands with their own steering (1: eq. (2) as printed)
+    pilot_covariance : (K, K) noise covariance over the pilots in units of the noise variance, equal for all symbols and ports (dense
+        multipath); None for white noise
     """
 
     waveform: Waveform
@@ -48,6 +50,7 @@ class SignalModel:
     transmitter: Manifold
     receiver: Manifold
     subbands: int = 1
+    pilot_covariance: Complex | None = None
 
     def __post_init__(self) -> None:
         schedule = self.schedule
@@ -63,6 +66,13 @@ class SignalModel:
             raise ModelError(
                 f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} subcarriers, got {self.subbands}"
             )
+        if self.pilot_covariance is not None:
+            size = self.waveform.subcarriers
+            if self.pilot_covariance.shape != (size, size) or self.subbands > 1:
+                raise ModelError(
+                    f"SignalModel: pilot_covariance must be ({size}, {size}) and needs subbands=1"
+                )
+            self.pilot_factor  # noqa: B018  a singular covariance must fail here
         self._whitener  # noqa: B018  a singular combiner must fail here, not in a search
 
     @cached_property
@@ -142,6 +152,28 @@ class SignalModel:
                 "SignalModel: a combining matrix W_n has linearly dependent columns; its noise cannot be whitened"
             )
         return np.linalg.inv(np.linalg.cholesky(gram))
+
+    @cached_property
+    def pilot_factor(self) -> Complex:
+        """Cholesky factor (K, K) of the pilot covariance."""
+        try:
+            return np.linalg.cholesky(np.asarray(self.pilot_covariance, complex))
+        except np.linalg.LinAlgError:
+            raise ModelError("SignalModel: pilot_covariance is not positive definite") from None
+
+    @cached_property
+    def weight(self) -> Complex | None:
+        """(K, K) inverse of the pilot covariance, or None for white noise."""
+        if self.pilot_covariance is None:
+            return None
+        inverse = np.linalg.inv(self.pilot_factor)
+        return inverse.conj().T @ inverse
+
+    def weighted(self, signal: Complex) -> Complex:
+        """A signal times the inverse pilot covariance: what signatures are correlated with."""
+        if self.weight is None:
+            return signal
+        return (self.weight.astype(signal.dtype) @ signal.reshape(len(signal), -1)).reshape(signal.shape)
 
     @cached_property
     def white(self) -> bool:

@@ -33,9 +33,7 @@ def synthesize(
     if noise_variance > 0 and rng is None:
         raise ModelError("synthesize: noise needs rng=np.random.default_rng(seed)")
     signal = (
-        white_noise(model.shape, noise_variance, rng)
-        if noise_variance > 0
-        else np.zeros(model.shape, np.complex64)
+        noise_of(model, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
     )
     if len(paths):
         signal += signal_of(model, model.evaluate(paths.geometry), paths.gain)
@@ -49,3 +47,13 @@ def white_noise(
     parts = rng.standard_normal((*shape[:-1], 2 * shape[-1]), dtype=np.float32)
     parts *= np.float32(np.sqrt(variance / 2))
     return parts.view(np.complex64)
+
+
+def noise_of(
+    model: SignalModel, variance: float, rng: np.random.Generator
+) -> np.typing.NDArray[np.complex64]:
+    """Noise before the combiners color it: white, or with the model's covariance over the pilots."""
+    noise = white_noise(model.shape, variance, rng)
+    if model.pilot_covariance is None:
+        return noise
+    return (model.pilot_factor.astype(np.complex64) @ noise.reshape(len(noise), -1)).reshape(noise.shape)

@@ -1,0 +1,367 @@
+"""Monte Carlo studies of the estimators: accuracy, detection, resolution, false alarms, speed.
+
+Every function draws its own data from explicit seeds and returns plain dictionaries (JSON), with 95 % intervals beside the estimates. The
+reference link has 64 subcarriers over 400 MHz, 16 symbols 125 us apart, a 4 x 4 receiver and an 8 x 8 transmitter at 28 GHz: 1.05 M samples,
+60.2 dB of integration gain.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import beta
+
+from .detections import Detections
+from .estimators.detect import detection_probability
+from .estimators.esprit import Esprit
+from .estimators.grids import View
+from .estimators.nomp import Nomp
+from .estimators.sage import Sage
+from .evaluate import Match, associate, detection_by_band, nees_by_band, summarize
+from .fisher import snr
+from .signal.arrays import cylinder, ura
+from .signal.model import SignalModel
+from .signal.paths import PARAMETERS, PathTable
+from .signal.schedule import digital, random_phase_beams, sweep
+from .signal.synthesis import synthesize
+from .signal.waveform import comb
+
+FRONT = View((-1.15, 1.15), (-0.6, 0.6))
+"""What the reference link's planar arrays look at: up to 66 degrees in azimuth, 34 in elevation."""
+BANDS = (10, 14, 17, 20, 25, 35, 50, 90)
+ESTIMATORS = {"nomp": Nomp, "sage": Sage, "esprit": Esprit}
+
+
+def reference_link(
+    subcarriers: int = 64, symbols: int = 16, receiver=(4, 4), transmitter=(8, 8)
+) -> SignalModel:
+    """The digital link of the studies (or another of its kind)."""
+    return SignalModel(
+        comb(28e9, 6.25e6, subcarriers), digital(symbols, 125e-6), ura(*transmitter), ura(*receiver)
+    )
+
+
+def hybrid_link(seed: int = 3) -> SignalModel:
+    """Eq. (2) with precoders and combiners: 64 subcarriers, 4 sweeps of 32 random beams x 4 orthonormal combiners of 4 ports, 131 k samples."""
+    rng = np.random.default_rng(seed)
+    square = np.linalg.qr(rng.standard_normal((16, 16)) + 1j * rng.standard_normal((16, 16)))[0]
+    combiners = np.moveaxis(square.reshape(16, 4, 4), 1, 0)
+    schedule = sweep(random_phase_beams(32, 64, rng), 4, 8.92e-6, combiners=combiners, rng=rng)
+    return SignalModel(comb(28e9, 6.25e6, 64), schedule, ura(8, 8), ura(4, 4))
+
+
+def swept_link(seed: int = 7) -> SignalModel:
+    """The radio of ring_road: 400 pilots every 480 kHz, 8 sweeps of 16 random beams, cylinders 16 x 2 and 8 x 2, 0.82 M samples."""
+    rng = np.random.default_rng(seed)
+    schedule = sweep(random_phase_beams(16, 32, rng), 8, 35.68e-6, rng=rng)
+    return SignalModel(comb(28e9, 120e3, 400, 4), schedule, cylinder(16, 2), cylinder(8, 2))
+
+
+@dataclass(frozen=True)
+class Draw:
+    """How path sets are drawn: number, separation in at least one mode [bins], delays [s], speeds [m/s], strengths below the first [dB]."""
+
+    paths: int = 8
+    separation: float = 1.0
+    delays: tuple[float, float] = (20e-9, 140e-9)
+    speeds: tuple[float, float] = (-22.0, 22.0)
+    decibels: tuple[float, float] = (-30.0, -5.0)
+
+
+def draw_paths(model: SignalModel, rng: np.random.Generator, draw: Draw = Draw()) -> PathTable:
+    """A path of unit gain and weaker ones in front of planar arrays, each pair separated in at least one mode."""
+    count = draw.paths
+    period = np.ptp(model.schedule.times) or 1.0
+    for _ in range(1000):
+        delay, speed = rng.uniform(*draw.delays, count), rng.uniform(*draw.speeds, count)
+        cosines = np.stack(
+            [rng.uniform(-0.85, 0.85, (2, count)), rng.uniform(-0.5, 0.5, (2, count))], axis=-1
+        )
+        elevation = np.arcsin(cosines[..., 1])
+        sine = cosines[..., 0] / np.cos(elevation)
+        if np.any(np.abs(sine) > 0.91):
+            continue
+        bins = [delay * model.waveform.bandwidth, speed * period / model.waveform.wavelength]
+        for array, cosine in zip((model.receiver, model.transmitter), cosines, strict=True):
+            bins += [
+                cosine[:, 0] * np.ptp(array.positions[:, 1]),
+                cosine[:, 1] * np.ptp(array.positions[:, 2]),
+            ]
+        gap = np.max([np.abs(b[:, None] - b) for b in bins], axis=0) + 1e9 * np.eye(count)
+        if gap.min() >= draw.separation:
+            break
+    azimuth = np.arcsin(sine)
+    strength = np.concatenate([[0.0], rng.uniform(*draw.decibels, count - 1)])
+    gain = 10 ** (strength / 20) * np.exp(2j * np.pi * rng.random(count))
+    angles = np.stack([azimuth, elevation], axis=-1)
+    return PathTable(delay, angles[0], angles[1], speed, gain)
+
+
+def at_snr(model: SignalModel, paths: PathTable, rho) -> PathTable:
+    """The same paths with gains such that their post-integration SNRs in unit noise are ``rho`` (P,), linear."""
+    unit = replace(paths, gain=np.exp(1j * np.angle(paths.gain)))
+    return replace(unit, gain=unit.gain * np.sqrt(np.asarray(rho) / snr(model, unit, 1.0)))
+
+
+def interval(successes: int, trials: int) -> tuple[float, float]:
+    """Clopper-Pearson 95 % interval of a proportion."""
+    low = 0.0 if successes == 0 else float(beta.ppf(0.025, successes, trials - successes + 1))
+    high = 1.0 if successes == trials else float(beta.ppf(0.975, successes + 1, trials - successes))
+    return low, high
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Matches, processor times [ms] and the estimator's threshold of a series of bursts."""
+
+    matches: list[Match]
+    milliseconds: list[float]
+    threshold: float
+    parameters: int
+
+
+def run_series(estimator: Nomp, model: SignalModel, cases, seed: int, warm: bool = False) -> Runs:
+    """Estimate each of ``cases``, functions ``rng -> (paths, noise_variance)``, each with a seed of its own."""
+    matches, times = [], []
+    for number, case in enumerate(cases):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+        paths, variance = case(rng)
+        signal = synthesize(model, paths, variance, rng)
+        start = time.thread_time()
+        found: Detections = estimator.run(signal, prior=paths if warm else None)
+        times.append(1e3 * (time.thread_time() - start))
+        matches.append(associate(model, found, paths, variance))
+    return Runs(matches, times, float(estimator.threshold), estimator.parameters)
+
+
+def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
+    """The figures of a series as plain numbers."""
+    total = summarize(runs.matches, 10 ** (accuracy_from_db / 10))
+    rho = np.concatenate([m.rho for m in runs.matches])
+    decibels = 10 * np.log10(np.maximum(rho, 1e-9))
+    detect = {}
+    for (low, high), (found, present) in zip(
+        zip(BANDS[:-1], BANDS[1:], strict=True), detection_by_band(runs.matches, BANDS), strict=True
+    ):
+        if present:
+            inside = (decibels >= low) & (decibels < high)
+            law = detection_probability(rho[inside], runs.threshold, runs.parameters)
+            detect[f"{low}-{high}"] = {
+                "p_detect": found / present,
+                "interval": interval(found, present),
+                "paths": present,
+                "model": float(law.mean()),
+            }
+    nees = {
+        f"{a}-{b}": {"nees_over_6": value, "paths": count}
+        for (a, b), (value, count) in zip(
+            zip(BANDS[:-1], BANDS[1:], strict=True), nees_by_band(runs.matches, BANDS), strict=True
+        )
+        if count
+    }
+    false = np.array([m.false for m in runs.matches])
+    width = 1.96 * np.sqrt(max(false.mean(), 1 / len(false)) / len(false))
+    return {
+        "rmse_over_crb": dict(zip(PARAMETERS, total.rmse_over_crb.tolist(), strict=True)),
+        "rmse_interval": dict(zip(PARAMETERS, total.rmse_interval.tolist(), strict=True)),
+        "associations": total.associations,
+        "gross_errors": total.gross,
+        "p_detect": detect,
+        "false_per_snapshot": float(false.mean()),
+        "false_interval": [max(float(false.mean() - width), 0.0), float(false.mean() + width)],
+        "nees_over_6": total.nees_over_n,
+        "nees_interval": total.nees_interval.tolist(),
+        "nees_per_parameter": dict(zip(PARAMETERS, total.nees_per_parameter.tolist(), strict=True)),
+        "nees_by_band": nees,
+        "ms_per_snapshot": float(np.median(runs.milliseconds)),
+        "ms_fastest": float(np.min(runs.milliseconds)),
+        "snapshots": len(runs.matches),
+        "threshold": runs.threshold,
+    }
+
+
+def accuracy(
+    name: str, snapshots: int, snrs_db=(-20, -10, 0, 10, 20), seed: int = 1, warm: bool = False
+) -> dict:
+    """Reference link: ``snapshots`` bursts of eight paths at each per-sample SNR of the strongest; pooled and per SNR."""
+    model = reference_link()
+    estimator = ESTIMATORS[name](model, arrival_view=FRONT, departure_view=FRONT)
+    series = {}
+    for number, level in enumerate(snrs_db):
+        cases = [lambda rng, v=10 ** (-level / 10): (draw_paths(model, rng), v)] * snapshots
+        series[level] = run_series(estimator, model, cases, seed + number, warm)
+    pooled = Runs(
+        [m for r in series.values() for m in r.matches],
+        [t for r in series.values() for t in r.milliseconds],
+        float(estimator.threshold),
+        estimator.parameters,
+    )
+    return report_runs(pooled) | {
+        "per_snr": {str(level): report_runs(runs) for level, runs in series.items()}
+    }
+
+
+def weak_paths(
+    snapshots: int, link: SignalModel | None = None, span=(12.0, 24.0), paths: int = 4, seed: int = 11
+) -> dict:
+    """Detection near the threshold: bursts of few paths with rho uniform over ``span`` [dB]."""
+    model = reference_link() if link is None else link
+    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
+    draw = Draw(paths=paths)
+    cases = [
+        lambda rng: (at_snr(model, draw_paths(model, rng, draw), 10 ** (rng.uniform(*span, paths) / 10)), 1.0)
+    ] * snapshots
+    return report_runs(run_series(estimator, model, cases, seed))
+
+
+def hybrid(snapshots: int, seed: int = 21) -> dict:
+    """Eq. (2) with precoders and combiners, five paths with rho between 18 and 40 dB."""
+    return weak_paths(snapshots, hybrid_link(), (18.0, 40.0), 5, seed)
+
+
+def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
+    """Noise alone on the reference link: nominal against measured false paths per snapshot."""
+    model = reference_link()
+    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=48)
+    suprema = estimator.suprema(snapshots, seed)
+    from .estimators.detect import threshold_for
+
+    rows = []
+    for rate in rates:
+        threshold = threshold_for(rate, estimator.volume, estimator.parameters)
+        above = int(np.sum(suprema > threshold))
+        rows.append(
+            {
+                "nominal": rate,
+                "threshold": threshold,
+                "measured": above / snapshots,
+                "interval": interval(above, snapshots),
+            }
+        )
+    return rows
+
+
+def resolution(dimension: int, separations, rho_db: float, trials: int, seed: int = 41) -> list[dict]:
+    """Two equal paths ``separations`` bins apart in one of delay, AOA, AOD, speed (0, 1, 2, 3): share of bursts with exactly both found."""
+    model = reference_link(64, 16, (4, 4), (4, 4))
+    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
+    bins = (1 / model.waveform.bandwidth, 0.5, 0.5, model.waveform.wavelength / (16 * 125e-6))
+    rows = []
+    for number, separation in enumerate(separations):
+        good = 0
+        for trial in range(trials):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(dimension, number, trial)))
+            single = draw_paths(model, rng, Draw(paths=1, speeds=(-15.0, 15.0)))
+            shifted = [single.delay, single.aoa.copy(), single.aod.copy(), single.radial_velocity]
+            step = separation * bins[dimension]
+            if dimension in (1, 2):
+                # A bin is 2/4 in the horizontal direction cosine of four half-wavelength elements.
+                el = shifted[dimension][0, 1]
+                start = rng.uniform(-0.4, 0.4 - step) if step < 0.8 else -0.4
+                base = list(shifted)
+                base[dimension] = np.array([[np.arcsin(start / np.cos(el)), el]])
+                single = PathTable(*base, single.gain)
+                shifted[dimension] = np.array([[np.arcsin((start + step) / np.cos(el)), el]])
+            else:
+                shifted[dimension] = shifted[dimension] + step
+            both = PathTable(
+                *(
+                    np.concatenate(pair)
+                    for pair in zip(
+                        (single.delay, single.aoa, single.aod, single.radial_velocity), shifted, strict=True
+                    )
+                ),
+                np.exp(2j * np.pi * rng.random(2)),
+            )
+            level = np.sqrt(10 ** (rho_db / 10) / np.prod(model.shape))
+            both = replace(both, gain=both.gain * level)
+            match = associate(model, estimator.run(synthesize(model, both, 1.0, rng)), both, 1.0)
+            good += bool(match.detected.all() and match.false == 0)
+        rows.append(
+            {
+                "separation": separation,
+                "resolved": good / trials,
+                "interval": interval(good, trials),
+                "trials": trials,
+            }
+        )
+    return rows
+
+
+def speed(
+    sizes=(
+        (64, 8, (2, 2), (4, 4)),
+        (64, 16, (4, 4), (4, 4)),
+        (64, 16, (4, 4), (8, 8)),
+        (128, 16, (4, 4), (8, 8)),
+    ),
+    bursts: int = 3,
+) -> list[dict]:
+    """Fastest of a few bursts per size, cold and warm, with the share of the arithmetic floor of the dictionary products."""
+    rows = []
+    square = np.ones((512, 512), np.float32)
+    reference = min(_timed(lambda: square @ square) for _ in range(9))
+    rate = 2 * 512**3 / reference
+    for size in sizes:
+        model = reference_link(*size)
+        estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=0)
+        draw = Draw(delays=(20e-9, 140e-9))
+        cases = [
+            lambda rng, m=model, d=draw: (draw_paths(m, rng, d), 100.0 * np.prod(m.shape) / 2**20)
+        ] * bursts
+        cold, warm = (run_series(estimator, model, cases, 51, w).milliseconds for w in (False, True))
+        synthesis = min(
+            _timed(
+                lambda m=model: synthesize(
+                    m, draw_paths(m, np.random.default_rng(1)), 1.0, np.random.default_rng(0)
+                )
+            )
+            for _ in range(3)
+        )
+        rows.append(
+            {
+                "samples": int(np.prod(model.shape)),
+                "ms_cold": min(cold),
+                "ms_warm": min(warm),
+                "ms_synthesis_per_million": 1e9 * synthesis / np.prod(model.shape),
+                "sgemm_gflops": rate / 1e9,
+            }
+        )
+    return rows
+
+
+def _timed(function) -> float:
+    start = time.thread_time()
+    function()
+    return time.thread_time() - start
+
+
+def schedules(max_speed: float = 25.0, seed: int = 61) -> dict:
+    """Ambiguity of beam schedules on an 8 x 8 transmitter, 64 beams x 8 sweeps, 8.92 us per beam."""
+    from .ambiguity import ambiguity
+    from .signal.schedule import ORDERS, antenna_switching, dft_beams
+
+    rng = np.random.default_rng(seed)
+    books = {
+        "dft": dft_beams(8, 8),
+        "antenna_switching": antenna_switching(64),
+        "random_phase": random_phase_beams(64, 64, rng),
+    }
+    rows = {}
+    for label, book in books.items():
+        for order in ORDERS:
+            schedule = sweep(book, 8, 8.92e-6, order=order, rng=rng)
+            model = SignalModel(comb(28e9, 6.25e6, 8), schedule, ura(8, 8), ura(2, 2))
+            result = ambiguity(model, max_speed, FRONT)
+            median, high, worst = np.percentile(result.level, [50, 90, 100])
+            rows[f"{label}, {order}"] = {
+                "median": float(median),
+                "p90": float(high),
+                "max": float(worst),
+                "ambiguous_speeds": result.ambiguous_speeds[:6].tolist(),
+                "speeds": result.speeds.tolist(),
+                "profile": result.profile.tolist(),
+            }
+    return rows

@@ -1,0 +1,113 @@
+#!/usr/bin/env python3
+"""Estimator studies: tables on the terminal, numbers as JSON, figures as PNG.
+
+python scripts/estimator_study.py --json study.json                       # accuracy of all estimators
+python scripts/estimator_study.py --json study.json --study all --figures figures
+python scripts/estimator_study.py --json study.json --study resolution --snapshots 40
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguity", "speed")
+
+
+def main() -> None:
+    """Run the chosen studies."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", type=Path, required=True, metavar="OUT", help="where the numbers go")
+    parser.add_argument("--study", nargs="+", default=["accuracy"], choices=[*STUDIES, "all"])
+    parser.add_argument(
+        "--estimator", nargs="+", default=["nomp", "sage", "esprit"], choices=["nomp", "sage", "esprit"]
+    )
+    parser.add_argument(
+        "--snapshots", type=int, default=10, help="bursts per point (100 for the published figures)"
+    )
+    parser.add_argument(
+        "--snr",
+        nargs="+",
+        type=float,
+        default=[-20, -10, 0, 10, 20],
+        help="per-sample SNR of the strongest path [dB]",
+    )
+    parser.add_argument("--figures", type=Path, help="folder for figures; none are drawn without it")
+    options = parser.parse_args()
+    if options.snapshots < 2:
+        parser.error("--snapshots must be at least 2")
+    chosen = STUDIES if "all" in options.study else options.study
+    results: dict = {}
+    for name in chosen:
+        results[name] = run_study(name, options)
+        show(name, results[name])
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    # The accuracy figures of each estimator also stand at the top level, by its name.
+    top = {
+        name: {k: v for k, v in value.items() if k != "per_snr"}
+        for name, value in results.get("accuracy", {}).items()
+    }
+    options.json.write_text(json.dumps(top | {"studies": results}, indent=1))
+    if options.figures:
+        from estimation import figures
+
+        options.figures.mkdir(parents=True, exist_ok=True)
+        for name, result in results.items():
+            figures.draw(name, result, options.figures / f"estimator_{name}.png")
+
+
+def run_study(name: str, options):
+    """One study's numbers."""
+    from estimation import studies
+
+    count = options.snapshots
+    if name == "accuracy":
+        return {e: studies.accuracy(e, count, tuple(options.snr)) for e in options.estimator}
+    if name == "weak":
+        return studies.weak_paths(2 * count)
+    if name == "hybrid":
+        return studies.hybrid(count)
+    if name == "resolution":
+        separations = (0.1, 0.2, 0.3, 0.5, 0.7)
+        return {
+            label: {f"{rho} dB": studies.resolution(d, separations, rho, count) for rho in (30, 40)}
+            for d, label in enumerate(("delay", "aoa", "aod", "speed"))
+        }
+    if name == "false_alarms":
+        return studies.false_alarms((0.3, 0.1, 0.03, 0.01), 4 * count)
+    if name == "ambiguity":
+        return studies.schedules()
+    return studies.speed()
+
+
+def show(name: str, result) -> None:
+    """A short table."""
+    print(f"\n{name}")
+    if name == "accuracy":
+        for estimator, r in result.items():
+            print(
+                f"  {estimator:7s} RMSE/CRB "
+                + " ".join(f"{v:.3f}" for v in r["rmse_over_crb"].values())
+                + f"  NEES/6 {r['nees_over_6']:.3f}  false {r['false_per_snapshot']:.3f}  {r['ms_per_snapshot']:.0f} ms"
+                + f"  ({r['associations']} associations)"
+            )
+            print(
+                "          P_D "
+                + "  ".join(f"{b} dB {v['p_detect']:.3f}/{v['model']:.3f}" for b, v in r["p_detect"].items())
+            )
+    else:
+        print("  " + json.dumps(result)[:1500])
+
+
+if __name__ == "__main__":
+    main()
