@@ -13,3 +13,19 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker("rt"):
             item.add_marker(pytest.mark.xdist_group("rt"))
+
+
+@pytest.fixture
+def call():
+    """Run the command line in this process; returns its exit code."""
+
+    def run(*tokens) -> int:
+        from dopslam.cli import main
+
+        try:
+            main([str(t) for t in tokens])
+        except SystemExit as leave:
+            return int(leave.code or 0)
+        return 0
+
+    return run

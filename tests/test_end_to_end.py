@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from test_stages import call
 
 from dopslam import dataset, stages
 from dopslam.config import load
@@ -48,7 +47,7 @@ def _truth(path):
     return track, paths, stages.read_detections(path)
 
 
-def test_the_command_line_composes_to_run(traced, tmp_path, monkeypatch):
+def test_the_command_line_composes_to_run(call, traced, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert call("run", "ring_road", "--seed", 1, "--set", *SHORT, "--jobs", 1) == 0
     whole = json.loads((tmp_path / "runs/latest/summary.json").read_text())

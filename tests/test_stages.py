@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dopslam import dataset, stages
-from dopslam.cli import main
 from dopslam.config import load
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Track, same
@@ -24,15 +23,6 @@ def finish(path):
         stages.slam(path, (), density, doppler)
     for doppler in (True, False):
         stages.bound(path, (), doppler)
-
-
-def call(*tokens):
-    """Run the command line; the exit code."""
-    try:
-        main([str(t) for t in tokens])
-    except SystemExit as leave:
-        return leave.code
-    return 0
 
 
 def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_path):
@@ -78,7 +68,7 @@ def test_a_stage_says_what_is_missing_and_changes_nothing(simulated):
     assert simulated.read_bytes() == before
 
 
-def test_the_command_line_runs_a_model_scenario_and_links_the_latest(tmp_path, monkeypatch, capsys):
+def test_the_command_line_runs_a_model_scenario_and_links_the_latest(call, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=4", "--seed", 2) == 0
     latest = tmp_path / "runs" / "latest"
@@ -98,7 +88,7 @@ def test_the_command_line_runs_a_model_scenario_and_links_the_latest(tmp_path, m
         (["rnu"], ["run"]),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(tokens, words, tmp_path, monkeypatch, capsys):
+def test_bad_input_is_one_line_and_exit_code_2(call, tokens, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert call(*tokens) == 2
     lines = capsys.readouterr().err.strip().splitlines()
@@ -108,7 +98,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tokens, words, tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_run_leaves_no_folder(tmp_path, monkeypatch):
+def test_a_failed_run_leaves_no_folder(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stages, "slam", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 2
