@@ -1,0 +1,151 @@
+"""Births: closed form, Laplace's integral, covariances of newborns, the VA/SP ratio, thinning."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dopslam.models.measurement import SP, VA, incidence, jacobians, measure, positions, residual
+from dopslam.simulate import nominal_track
+from dopslam.slam.birth import fit_landmark, starting_point, undetected_intensity, visible_share
+from dopslam.slam.newborn import give_birth
+from dopslam.slam.pmb import FilterParameters, Scan, compile_model, initial_density
+
+STD = np.array([0.1, 0.05, 0.05, 0.05, 0.05, 0.1])
+
+
+def fit(z, noise, state, covariance, kind, site, start):
+    x, gain, own = start.copy(), np.empty((3, len(z))), np.empty((3, 3))
+    valid, chi2, log_volume = fit_landmark(z, noise, state, covariance, kind, site, -np.inf, x, gain, own)
+    return valid, chi2, log_volume, x, gain, own
+
+
+@pytest.mark.parametrize("kind", [VA, SP])
+def test_exact_measurements_give_the_landmark_back(world, kind):
+    site = (*world.bs, 0.0, world.motion.speed)
+    for state in nominal_track(world)[::7]:
+        for x in world.landmarks(kind):
+            z = measure(state, x, kind, world.bs, speed=world.motion.speed)
+            start = np.empty(3)
+            assert starting_point(z, state, kind, site, start)
+            np.testing.assert_allclose(start, x, atol=1e-6)
+            valid, chi2, _, found, _, _ = fit(
+                z, np.diag(STD**2), state, 1e-4 * np.eye(4), kind, site, start + np.array([2, -1, 1])
+            )
+            assert valid and chi2 < 0.02
+            np.testing.assert_allclose(found, x, atol=0.5)
+
+
+def test_a_path_shorter_than_the_direct_one_is_no_landmark(world):
+    state = nominal_track(world)[0]
+    z = measure(state, world.bs, 0, world.bs, speed=1.0)
+    z[0] -= 1.0
+    assert not starting_point(z, state, VA, (*world.bs, 0.0, 22.22), np.empty(3))
+
+
+@pytest.mark.parametrize("kind", [VA, SP])
+def test_laplace_integral_against_numbers(world, kind):
+    """∫ N(z; h(x), R) dx by importance sampling, where the noise is small enough for Laplace to be exact."""
+    rng = np.random.default_rng(6)
+    state = nominal_track(world)[3]
+    x = world.landmarks(kind)[1]
+    noise = np.diag((STD * [1, 0.1, 0.1, 0.1, 0.1, 1]) ** 2)
+    z = measure(state, x, kind, world.bs, speed=world.motion.speed) + rng.normal(size=6) * np.sqrt(
+        np.diag(noise)
+    )
+    site = (*world.bs, 0.0, world.motion.speed)
+    valid, chi2, log_volume, mode, _, own = fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)
+    assert valid
+    root = np.linalg.cholesky(own) * 1.3
+    unit = rng.normal(size=(200_000, 3))
+    points = mode + unit @ root.T
+    nu = residual(z, measure(state, points, kind, world.bs, speed=world.motion.speed))
+    log_like = -0.5 * np.einsum("ni,ij,nj->n", nu, np.linalg.inv(noise), nu)
+    log_proposal = -0.5 * (unit**2).sum(1) - np.log(np.diag(root)).sum() - 1.5 * np.log(2 * np.pi)
+    numeric = np.exp(log_like - log_proposal).mean() / np.sqrt(np.linalg.det(2 * np.pi * noise))
+    laplace = (2 * np.pi) ** ((3 - 6) / 2) * np.exp(log_volume - 0.5 * chi2)
+    assert laplace == pytest.approx(numeric, rel=0.02)
+
+
+def test_ratio_of_the_two_types_at_birth(world):
+    """ρ_VA/ρ_SP = D²(1 + cos α)/‖x_SP - x_U‖² for equal intensities, whatever the measurement noise."""
+    site = (*world.bs, 0.0, world.motion.speed)
+    for state, va in zip(nominal_track(world)[[2, 15]], world.landmarks(VA)[:2], strict=True):
+        ue = positions(state)
+        sp, _, _ = incidence(ue, va, world.bs)
+        z = measure(state, va, VA, world.bs, speed=world.motion.speed)
+        noise = 1e-4 * np.diag(STD**2)
+        volumes = [
+            fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)[2] for kind, x in ((VA, va), (SP, sp))
+        ]
+        q = (va - ue) / np.linalg.norm(va - ue)
+        cos_alpha = q @ (sp - world.bs) / np.linalg.norm(sp - world.bs)
+        expected = np.sum((va - ue) ** 2) * (1 + cos_alpha) / np.sum((sp - ue) ** 2)
+        assert np.exp(volumes[0] - volumes[1]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_newborn_covariances_follow_from_the_linear_model(world):
+    """Errors -G(A e_s + ε) of two births of one scan, with the UE and an older landmark, term by term."""
+    rng = np.random.default_rng(8)
+    state = nominal_track(world)[2]
+    root = rng.normal(size=(7, 7)) * 0.05
+    old = root @ root.T
+    mean, covariance = np.zeros(13), np.zeros((13, 13))
+    mean[:4], mean[4:7], covariance[:7, :7] = state, world.landmarks(VA)[0], old
+    truth = world.landmarks(VA)[1:3]
+    z = measure(state, truth, VA, world.bs, speed=world.motion.speed)
+    noise = np.diag(STD**2)
+    scan = Scan(z, np.array([noise, noise]), np.zeros(2), 10, 1e-6)
+    model = compile_model(FilterParameters(), world.motion, world.bs)
+    give_birth(
+        mean,
+        covariance,
+        4,
+        7,
+        scan,
+        np.array([0, 1]),
+        np.array([VA, VA]),
+        np.array([-1, -1]),
+        truth.copy(),
+        model,
+    )
+    np.testing.assert_allclose(mean[7:], truth.ravel(), atol=1e-3)
+    a, b = jacobians(state, mean[7:].reshape(2, 3), VA, world.bs, speed=world.motion.speed)
+    pulls, gains = [], []
+    for i in range(2):
+        tilde = noise + a[i] @ old[:4, :4] @ a[i].T
+        gain = np.linalg.solve(b[i].T @ np.linalg.solve(tilde, b[i]), b[i].T @ np.linalg.inv(tilde))
+        pulls.append(-gain @ a[i])
+        gains.append(gain)
+    lift = np.vstack([np.eye(7), *[np.hstack([p, np.zeros((3, 3))]) for p in pulls]])
+    expected = lift @ old @ lift.T
+    for i in range(2):
+        rows = slice(7 + 3 * i, 10 + 3 * i)
+        expected[rows, rows] += gains[i] @ noise @ gains[i].T
+    np.testing.assert_allclose(covariance, expected, rtol=2e-3, atol=1e-5)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_visible_share_is_soft(world):
+    model = compile_model(FilterParameters(), world.motion, world.bs)
+    state = world.prior_mean
+    at_rim = np.array([state[0] + 50.0, state[1], 0.0])
+    assert visible_share(at_rim, np.eye(3), state, SP, model) == pytest.approx(0.5)
+    assert visible_share(at_rim, np.eye(3), state, VA, model) == 1.0
+    assert visible_share(at_rim - [2, 0, 0], np.eye(3), state, SP, model) == pytest.approx(0.97725, abs=1e-4)
+
+
+def test_thinning_remembers_where_the_receiver_was(world):
+    base = FilterParameters(thinning=True, birth_intensity=(1e-10, 1e-10))
+    density = initial_density(world.prior_mean, world.prior_covariance)
+    density = density._replace(trail=np.array([[70.0, 0.0], [0.0, 0.0], [-70.0, 0.0]]))
+    near_first = np.array([90.0, 0.0, 10.0])
+    model = compile_model(base, world.motion, world.bs)
+    va = undetected_intensity(near_first, 1e-6 * np.eye(3), VA, 0.0, density, model)
+    assert va == pytest.approx(1e-7 * 1e-3 + 1e-10 * (1 + 0.1 + 0.01 + 0.001), rel=1e-6)
+    sp = undetected_intensity(near_first, 1e-6 * np.eye(3), SP, 0.0, density, model)
+    assert sp == pytest.approx(4e-6 * 0.1 + 1e-10 * (1 + 1 + 1 + 0.1), rel=1e-6)
+    constant = compile_model(replace(base, thinning=False), world.motion, world.bs)
+    assert undetected_intensity(near_first, np.eye(3), SP, 0.0, density, constant) == pytest.approx(
+        4e-6 + 1e-10
+    )
