@@ -171,28 +171,25 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
         if not np.all(np.isfinite(point)):
             raise SceneError(f"{name} has the position {point.tolist()}; give finite numbers in meters")
     lower, upper = _bounds(len(surfaces.objects), surfaces.triangle_object, surfaces.triangles)
+    wrong: list[tuple[int, str]] = []
     for index, owner in enumerate(surfaces.objects):
         near = np.all((stacked >= lower[index] - clearance) & (stacked <= upper[index] + clearance), axis=1)
         rows = np.flatnonzero(near)
         if not len(rows):
             continue
         mesh = surfaces.triangles[surfaces.triangle_object == index]
+        close, inside = np.zeros((2, len(stacked)), dtype=bool)
         for chunk in np.array_split(rows, max(1, len(rows) * len(mesh) // 200_000)):
-            close = distance_to_triangles(stacked[chunk], mesh).min(axis=1, initial=np.inf) < clearance
-            if np.any(close):
-                row = chunk[np.argmax(close)]
-                raise SceneError(
-                    f"{label[row]} at {_text(stacked[row])} m is closer than {100 * clearance:g} cm to "
-                    f"a surface of object {owner!r}; move it away"
-                )
-        inside = np.zeros(len(stacked), dtype=bool)
-        for chunk in np.array_split(rows, max(1, len(rows) * len(mesh) // 200_000)):
+            close[chunk] = distance_to_triangles(stacked[chunk], mesh).min(axis=1, initial=np.inf) < clearance
             inside[chunk] = np.abs(winding_number(stacked[chunk], mesh)) > 0.5
+        if np.any(close):
+            what = f"is closer than {100 * clearance:g} cm to a surface of object {owner!r}; move it away"
+            wrong.append((int(np.argmax(close)), what))
         if np.any(inside) and not np.all(inside):
-            row = int(np.argmax(inside))
-            raise SceneError(
-                f"{label[row]} at {_text(stacked[row])} m lies inside object {owner!r}; move it out"
-            )
+            wrong.append((int(np.argmax(inside)), f"lies inside object {owner!r}; move it out"))
+    if wrong:
+        row, what = min(wrong)
+        raise SceneError(f"{label[row]} at {_text(stacked[row])} m {what}")
 
 
 def _text(point: np.ndarray) -> str:

@@ -315,3 +315,14 @@ def test_a_loaded_scene_serves_several_tracers(ring_xml, ring_track, ring):
     assert same(landmarks, ring[0]) and same(paths, ring[1])
     _, without = trace(loaded, CARRIER, BS, *ring_track)
     assert len(without.a) == 40 * 5
+
+
+def test_thousands_of_positions_keep_all_their_paths(ring_xml):
+    rng = np.random.default_rng(11)
+    receivers = np.column_stack([rng.uniform(-90, 90, (3000, 2)), np.zeros(3000)])
+    tracer = Tracer(SceneSource(ring_xml), CARRIER, BS, POINTS, TraceSettings(samples=10_000))
+    sizes = []
+    for traced in tracer.chunks(receivers, np.ones_like(receivers)):
+        np.testing.assert_array_equal(np.diff(traced.paths.offsets), 9)
+        sizes.append(traced.paths.steps)
+    assert sizes == [500] * 6
