@@ -23,6 +23,8 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+# Of the elements: the same all round, a patch (cosine about its own outward direction), or a dipole along z.
+Pattern = Literal["isotropic", "cosine", "dipole"]
 
 
 class _Frozen(BaseModel):
@@ -50,6 +52,7 @@ class CylinderArray(_Frozen):
     columns: Count
     rings: Count
     spacing_wavelengths: Positive = 0.5  # along the ring (chord) and between the rings
+    pattern: Pattern = "isotropic"
 
 
 class PlanarArray(_Frozen):
@@ -59,6 +62,7 @@ class PlanarArray(_Frozen):
     columns: Count
     rows: Count
     spacing_wavelengths: Positive = 0.5
+    pattern: Pattern = "isotropic"
 
 
 class CustomArray(_Frozen):
@@ -104,6 +108,7 @@ class Radio(_Frozen):
     subcarrier_spacing: Positive = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
     symbol_period: Positive = 35.68e-6  # s, between the symbols used
+    subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
 
 
@@ -169,10 +174,11 @@ class Source(_Frozen):
 class Estimator(_Frozen):
     """Channel estimator of a snapshot."""
 
-    kind: Literal["nomp"] = "nomp"
+    kind: Literal["nomp", "sage", "esprit"] = "nomp"
     false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01  # expected false paths per snapshot
     max_radial_velocity: Positive = 25.0  # m/s, searched on both sides of zero
     max_paths: Count = 30
+    dense_multipath: bool = False  # estimate the dense part's delay profile and whiten with it
 
 
 class Filter(_Frozen):

@@ -144,14 +144,16 @@ def _estimator(scenario_toml: str, threshold: float | None = None):
 
     Without ``threshold`` it is calibrated on noise for the scenario's false-alarm rate.
     """
-    from estimation import Nomp
+    import estimation
 
     config = parse(scenario_toml).estimator
-    return Nomp(
+    kinds = {"nomp": estimation.Nomp, "sage": estimation.Sage, "esprit": estimation.Esprit}
+    return kinds[config.kind](
         _model(scenario_toml),
         false_alarm_rate=config.false_alarm_rate,
         max_speed=config.max_radial_velocity,
         max_paths=config.max_paths,
+        dense_multipath=config.dense_multipath,
         threshold=threshold,
     )
 

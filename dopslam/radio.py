@@ -6,6 +6,8 @@ variance is the thermal noise of one subcarrier, k·T·Δf·F.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dopslam.config import ArrayConfig, CustomArray, CylinderArray, PlanarArray, Scenario
@@ -13,12 +15,15 @@ from dopslam.errors import ConfigError
 from dopslam.records import SPEED_OF_LIGHT, Paths, Track
 from estimation import (
     Array,
+    CosinePattern,
+    DipolePattern,
     PathTable,
     SignalModel,
     antenna_switching,
     comb,
     cylinder,
     dft_beams,
+    outward,
     random_phase_beams,
     sweep,
     ura,
@@ -31,11 +36,15 @@ def build_array(config: ArrayConfig) -> Array:
     """Array in its own frame, positions in wavelengths, from its description."""
     match config:
         case CylinderArray():
-            return cylinder(config.columns, config.rings, spacing=config.spacing_wavelengths)
+            bare = cylinder(config.columns, config.rings, spacing=config.spacing_wavelengths)
+            patch = outward(bare.positions)
         case PlanarArray():
-            return ura(config.rows, config.columns, config.spacing_wavelengths)
+            bare = ura(config.rows, config.columns, config.spacing_wavelengths)
+            patch = CosinePattern()
         case CustomArray():
             return Array(np.asarray(config.positions_wavelengths))
+    patterns = {"isotropic": None, "cosine": patch, "dipole": DipolePattern()}
+    return replace(bare, pattern=patterns[config.pattern])
 
 
 def signal_model(scenario: Scenario) -> SignalModel:
@@ -55,6 +64,7 @@ def signal_model(scenario: Scenario) -> SignalModel:
         schedule=schedule,
         transmitter=transmitter,
         receiver=build_array(scenario.receiver.array),
+        subbands=radio.subbands,
     )
 
 

@@ -83,3 +83,13 @@ def test_beams_that_the_array_cannot_form_are_refused():
     with pytest.raises(ConfigError, match="32"):
         radio.signal_model(load("ring_road", ["radio.beams.kind=antenna"]))
     assert radio.signal_model(load("ring_road", ["radio.beams.kind=antenna", "radio.beams.beams=32"])).shape[1] == 256
+
+
+def test_element_patterns_and_subbands_come_from_the_scenario():
+    patch = radio.signal_model(load("ring_road", ["base_station.array.pattern=cosine", "radio.subbands=8"]))
+    assert patch.subbands == 8
+    ahead = patch.transmitter.steering(np.array([[1.0, 0.0, 0.0]]))[0]
+    assert abs(ahead[0]) == pytest.approx(1.0)  # the first column looks along +x,
+    assert abs(ahead[8]) == pytest.approx(0.0, abs=1e-12)  # the ninth away from it
+    dipole = radio.signal_model(load("ring_road", ["receiver.array.pattern=dipole"]))
+    assert np.abs(dipole.receiver.steering(np.array([[0.0, 0.6, 0.8]]))) == pytest.approx(0.6)
