@@ -193,7 +193,6 @@ class Filter(_Frozen):
     gate: Positive = 40.0  # squared Mahalanobis distance
     prune_existence: Probability = 1e-3
     report_existence: Probability = 0.5
-    process_std: tuple[NonNegative, NonNegative, NonNegative, NonNegative] | None = None  # None: the track's own
     linearization: Literal["extended", "cubature"] = "extended"
     reweight: bool = False  # weight associations by the evidence of the joint update
     hypotheses: Count = 1  # global hypotheses kept between steps: 1 is the PMB, more the PMBM
