@@ -45,6 +45,7 @@ class LoadedScene:
     scene: object
     surfaces: Surfaces
     name: str
+    carrier_frequency: float  # Hz, for which its materials were evaluated
 
 
 def builtin_scenes() -> dict[str, Path]:
@@ -125,7 +126,7 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
     pattern = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
     scene.tx_array = scene.rx_array = pattern
     meshes = {name: _triangles(item.mi_mesh) for name, item in sorted(scene.objects.items())}
-    return LoadedScene(scene, build_surfaces(meshes), file.stem)
+    return LoadedScene(scene, build_surfaces(meshes), file.stem, carrier_frequency)
 
 
 def _one_line(error: Exception) -> str:

@@ -67,6 +67,8 @@ class TraceSettings:
 class ScatterPoints:
     """Small objects as points with a constant bistatic radar cross-section.
 
+    Their paths are base station, point, receiver, both legs unobstructed; no wall reflects them further.
+
     Attributes
     ----------
     names : (P,) str

@@ -11,8 +11,7 @@ from dopslam.records import Kind, Landmarks, Paths
 
 
 class Traced(NamedTuple):
-    """What was found for one run of receivers; ``transfer`` (N, 2, 2) complex is the full polarimetric gain
-    of every path.
+    """What was found for one run of receivers; ``transfer`` (N, 2, 2) is the polarimetric gain of every path.
 
     Rows of ``transfer`` are the receiver's V and H, columns the base station's V and H (isotropic elements,
     world frame).

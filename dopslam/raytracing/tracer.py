@@ -37,8 +37,9 @@ _TARGET = "dopslam_scatter_points"
 
 
 class _Found(NamedTuple):
-    """Paths of one call: receiver (N,), planes (N, D) padded with −1, point (N,) or −1, gains (N, 2, 2),
-    Sionna's τc (N,) m.
+    """Paths of one call.
+
+    Receiver (N,), planes (N, D) padded with −1, point (N,) or −1, gains (N, 2, 2), Sionna's τc (N,) m.
     """
 
     receiver: np.ndarray
@@ -81,6 +82,11 @@ class Tracer:
         self.wavelength = SPEED_OF_LIGHT / carrier_frequency
         self.bs_position = np.asarray(bs_position, dtype=float).reshape(3)
         loaded = source if isinstance(source, LoadedScene) else load_scene(source, carrier_frequency)
+        if loaded.carrier_frequency != carrier_frequency:
+            raise SceneError(
+                f"scene {loaded.name!r} was loaded for {loaded.carrier_frequency / 1e9:g} GHz and cannot be "
+                f"traced at {carrier_frequency / 1e9:g} GHz; load it for that frequency"
+            )
         self.scene, self.surfaces = loaded.scene, loaded.surfaces
         self.naming = Naming(self.surfaces)
         self._fixed = {"the base station": self.bs_position} | {
@@ -129,8 +135,7 @@ class Tracer:
         self._radar = rcs.RCSSolver(deterministic=True)
 
     def chunks(self, receivers: np.ndarray, velocities: np.ndarray | None = None) -> Iterator[Traced]:
-        """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk after chunk; memory does not grow with
-        K.
+        """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk by chunk; memory does not grow.
 
         Every chunk has its own :class:`Landmarks` with the same names and order rules; :func:`join` unites
         them.

@@ -315,6 +315,8 @@ def test_a_loaded_scene_serves_several_tracers(ring_xml, ring_track, ring):
     assert same(landmarks, ring[0]) and same(paths, ring[1])
     _, without = trace(loaded, CARRIER, BS, *ring_track)
     assert len(without.a) == 40 * 5
+    with pytest.raises(SceneError, match="loaded for 28 GHz and cannot be traced at 10 GHz"):
+        trace(loaded, 10e9, BS, *ring_track)
 
 
 def test_thousands_of_positions_keep_all_their_paths(ring_xml):
