@@ -9,6 +9,8 @@ from dopslam import dataset, stages
 from dopslam.config import load
 from dopslam.errors import SceneError
 from dopslam.records import DetectionSeries, Landmarks, same
+from dopslam.report.tables import study_text
+from dopslam.traced_study import study
 
 pytestmark = pytest.mark.rt
 SHORT = ["track.steps=4"]
@@ -84,3 +86,16 @@ def test_a_track_through_a_wall_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(SceneError):
         stages.trace(path, load("ring_road", [*SHORT, "base_station.position=[100.0, 0.0, 20.0]"]), seed=1)
     assert not path.exists()
+
+
+def test_a_study_pools_its_seeds_and_uses_complete_datasets_again(tmp_path):
+    scenario = load("ring_road", ["track.steps=3"])
+    first = study(scenario, range(2), tmp_path)
+    stamps = [p.stat().st_mtime_ns for p in sorted(tmp_path.iterdir())]
+    assert study(scenario, range(2), tmp_path) == first
+    assert [p.stat().st_mtime_ns for p in sorted(tmp_path.iterdir())] == stamps
+    errors = [run["joint"]["position_rmse_m"] for run in first["runs"]["estimator"]]
+    assert first["estimator"]["joint"]["position_rmse_m"]["mean"] == pytest.approx(np.mean(errors))
+    # Noise of paper A's R (0.1 m, 0.05 rad) makes everything coarser than the estimator's few centimeters.
+    assert first["paper"]["joint"]["position_rmse_m"]["mean"] > first["estimator"]["joint"]["position_rmse_m"]["mean"]
+    assert "| joint |" in study_text(first)
