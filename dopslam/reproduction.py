@@ -2,7 +2,7 @@
 
 What the paper leaves open is set as for its reference figures: p_D = 0.9, SPs seen within 50 m, one clutter
 measurement per scan, p_S = 1. Fig. 2: nominal track, everything visible, p_D = 1; PEB, HEB, CEB averaged over
-the 40 steps, LEB averaged over the landmarks at the last step. Figs. 3-5: the paper's filter (marginal) and ours.
+the 40 steps, LEB averaged over the landmarks at the last step. Figs. 3-5: the paper's filter, and ours.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def association_table(runs: int, seed: int, jobs: int, joint: bool = False) -> l
 
 
 def motion_studies(runs: int, seed: int, jobs: int) -> dict[str, dict[str, Any]]:
-    """Speed and turn rate unknown; a 2 % error in a speed believed known, beside a filter that estimates it."""
+    """Speed and turn rate unknown; a 2 % error in a speed believed known, beside one that is estimated."""
     truth = section_v(0.1)
     six = unknown_motion(truth)
     lively = unknown_motion(truth, speed_walk=0.5, rate_walk=0.02)
