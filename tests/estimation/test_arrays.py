@@ -1,0 +1,124 @@
+"""Arrays, patterns, measured arrays and schedules."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from estimation import (
+    Array,
+    CosinePattern,
+    DipolePattern,
+    EadfArray,
+    ModelError,
+    ScheduleWarning,
+    SignalModel,
+    ambiguity,
+    antenna_switching,
+    check_schedule,
+    comb,
+    cylinder,
+    dft_beams,
+    outward,
+    random_phase_beams,
+    sweep,
+    ula,
+    ura,
+)
+from estimation.signal.directions import displaced, sphere, tangents
+
+TURNED = Rotation.from_euler("zy", [40, 20], degrees=True)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        cylinder(8, 2),
+        cylinder(8, 2, orientation=TURNED),
+        Array(cylinder(8, 2).positions, outward(cylinder(8, 2).positions, 1.5), TURNED),
+        ura(2, 3, pattern=CosinePattern()),
+        ura(2, 2, pattern=DipolePattern()),
+        EadfArray.from_array(cylinder(8, 2), 24),
+        EadfArray(EadfArray.from_array(ura(2, 3), 16).coefficients, TURNED),
+    ],
+    ids=["cylinder", "turned", "patch cylinder", "patches", "dipoles", "measured", "measured, turned"],
+)
+def test_derivatives_match_finite_differences(array):
+    directions = sphere(40)
+    directions = directions[np.abs(directions[:, 2]) < 0.97]
+    # Off the edge of a cosine pattern, where the amplitude has a kink.
+    basis = tangents(directions)
+    value, derivative = array.response(directions, basis)
+    assert value.shape == (len(directions), array.elements)
+    for t in range(2):
+        step = np.zeros((len(directions), 2))
+        step[:, t] = 1e-6
+        numeric = (
+            array.response(displaced(directions, step))[0] - array.response(displaced(directions, -step))[0]
+        ) / 2e-6
+        smooth = np.abs(numeric - derivative[:, t]).max(axis=1)
+        assert np.median(smooth) < 1e-7 and np.mean(smooth < 1e-5) > 0.9
+
+
+def test_a_measured_array_reproduces_what_was_measured():
+    array = cylinder(16, 2)
+    measured = EadfArray.from_array(array, 40)
+    directions = sphere(200)
+    assert np.abs(measured.response(directions)[0] - array.response(directions)[0]).max() < 1e-6
+    with pytest.raises(ModelError, match="responses"):
+        EadfArray.from_samples(np.zeros((3, 10, 10)))
+
+
+def test_cylinder_radii_are_those_of_half_wavelength_chords():
+    assert np.hypot(*cylinder(16, 2).positions[0, :2]) == pytest.approx(1.281, abs=1e-3)
+    assert np.hypot(*cylinder(8, 2).positions[0, :2]) == pytest.approx(0.653, abs=1e-3)
+
+
+def test_what_arrays_can_tell():
+    assert ula(4).observable == (True, False)
+    assert ura(1, 1).observable == (False, False)
+    assert ura(4, 1).observable == (False, True)
+    assert cylinder(8, 1).observable == (True, True)
+
+
+def link(book, order, rng):
+    return SignalModel(
+        comb(28e9, 6.25e6, 8), sweep(book, 8, 8.92e-6, order=order, rng=rng), ura(8, 8), ura(2, 2)
+    )
+
+
+def test_fixed_beam_order_is_ambiguous_and_a_fresh_permutation_is_not():
+    rng = np.random.default_rng(0)
+    sweep_time = 64 * 8.92e-6
+    for book in (dft_beams(8, 8), antenna_switching(64)):
+        model = link(book, "linear", rng)
+        with pytest.warns(ScheduleWarning, match="18.8, 37.6 m/s"):
+            result = check_schedule(model, 25.0)
+        expected = model.waveform.wavelength / sweep_time
+        assert np.min(np.abs(result.ambiguous_speeds - expected)) < 1.0
+        assert ambiguity(link(book, "permuted", rng), 25.0).level.max() < 0.8
+    assert check_schedule(link(random_phase_beams(64, 64, rng), "permuted", rng), 25.0).level.max() < 0.5
+
+
+def test_slots_visit_every_beam_once_per_sweep():
+    rng = np.random.default_rng(1)
+    schedule = sweep(random_phase_beams(5, 8, rng), 4, 1e-5, rng=rng)
+    slots = schedule.slots()
+    assert slots.shape == (4, 5, 1)
+    assert sorted(slots.ravel()) == list(range(20))
+    assert np.all(schedule.precoder_index[slots[:, :, 0]] == np.arange(5))
+    assert np.all(np.diff(schedule.times[slots[:, :, 0]], axis=0) > 0)
+
+
+@pytest.mark.parametrize("options, message", [({"order": "spiral"}, "order must be"), ({}, "needs rng")])
+def test_bad_schedules_are_named(options, message):
+    with pytest.raises(ModelError, match=message):
+        sweep(np.eye(4), 2, 1e-5, **options)
+
+
+def test_unequal_use_of_beams_has_no_slots():
+    from estimation import Schedule
+
+    with pytest.raises(ModelError, match="equally often"):
+        Schedule(np.arange(5.0), np.eye(2), np.array([0, 1, 0, 1, 0])).slots()

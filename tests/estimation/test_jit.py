@@ -1,0 +1,57 @@
+"""Compiled kernels against plain numpy, and compilation where no cache can be kept."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from estimation.estimators.kernels import above, add_power, derotated, peak_power, row_peaks
+
+
+def test_kernels_match_numpy():
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((7, 10)).astype(np.float32)
+    out = np.ones((7, 5), np.float32)
+    add_power(values, out)
+    assert np.allclose(out, 1 + values[:, :5] ** 2 + values[:, 5:] ** 2)
+    peaks = np.empty(7, np.float32)
+    row_peaks(values, peaks)
+    assert np.allclose(peaks, (values[:, :5] ** 2 + values[:, 5:] ** 2).max(axis=1))
+    flat = rng.standard_normal(40).astype(np.float32)
+    power = np.abs(flat.view(np.complex64)) ** 2
+    assert np.isclose(peak_power(flat), power.max())
+    index, found = np.empty(20, np.int64), np.empty(20, np.float32)
+    count = above(flat, np.float32(1.0), index, found)
+    assert np.array_equal(index[:count], np.flatnonzero(power > 1.0))
+    symbols = rng.standard_normal((3, 2 * 6)).astype(np.float32)
+    order = np.array([[0, 1, 2], [3, 4, 5]])
+    phase = np.exp(1j * rng.standard_normal((4, 2, 3))).astype(np.complex64)
+    cells, speeds = np.array([2, 0]), np.array([3, 1])
+    beams = np.empty((2, 2), np.complex64)
+    derotated(symbols, np.concatenate([order, order + 6], axis=1), phase, cells, speeds, beams)
+    complex_symbols = symbols[:, :6] + 1j * symbols[:, 6:]
+    expected = np.einsum("pqb,pqb->pq", complex_symbols[cells][:, order], phase[speeds])
+    assert np.allclose(beams, expected, atol=1e-5)
+
+
+def test_an_unwritable_cache_is_slower_but_not_broken(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    code = (
+        "import numba.core.caching as c\n"
+        "for name in ('_UserProvidedCacheLocator', '_InTreeCacheLocator', '_UserWideCacheLocator', '_InTreeCacheLocatorFsAgnostic'):\n"
+        "    if hasattr(c, name):\n"
+        "        setattr(getattr(c, name), 'ensure_cache_path', lambda self: (_ for _ in ()).throw(OSError('read-only')))\n"
+        "import numpy as np\n"
+        "from estimation.estimators.kernels import peak_power\n"
+        "print(peak_power(np.arange(4, dtype=np.float32)))\n"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(blocked)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "13.0"
