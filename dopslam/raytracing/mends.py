@@ -41,8 +41,8 @@ def _endpoints_as_data(scene, radio_devices, array, synthetic_array, return_velo
     """Drop-in for ``Scene._endpoints``, for synthetic arrays of one antenna at the device's own position."""
     _, mi = backend()
     devices = list(radio_devices)
-    single = synthetic_array and array is not None and array.array_size == 1
-    if not single or np.any(array.normalized_positions.numpy()) or not devices:
+    at_device = array is not None and array.array_size == 1 and not np.any(array.normalized_positions.numpy())
+    if not (synthetic_array and at_device and devices):
         return type(scene)._endpoints(scene, devices, array, synthetic_array, return_velocities)
     positions, orientations = (mi.Point3f(_rows(devices, name)) for name in ("position", "orientation"))
     relative = mi.Point3f(np.zeros((3, len(devices)), dtype=np.float32))

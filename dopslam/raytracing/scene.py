@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class SceneSource:
 class LoadedScene:
     """A scene in the ray tracer (``scene``, a ``sionna.rt.Scene``) and its surfaces as arrays."""
 
-    scene: object
+    scene: Any
     surfaces: Surfaces
     name: str
     carrier_frequency: float  # Hz, for which its materials were evaluated

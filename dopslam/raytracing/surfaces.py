@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError, KDTree
 
 from dopslam.errors import SceneError
 from dopslam.geometry import distance_to_triangles, triangle_planes, winding_number
@@ -85,7 +85,7 @@ def _cluster(normals, offsets, areas, triangles):
     feature = np.column_stack([normal / NORMAL_TOLERANCE, offset / OFFSET_TOLERANCE])
     # Equal cells first: a finely meshed wall would otherwise make a quadratic number of pairs.
     cells, cell = np.unique(np.round(feature, 1), axis=0, return_inverse=True)
-    pairs = cKDTree(cells).query_pairs(1.0, output_type="ndarray")
+    pairs = KDTree(cells).query_pairs(1.0, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     component = connected_components(graph, directed=False)[1][cell.ravel()]
     _, first = np.unique(component, return_index=True)
