@@ -139,7 +139,7 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
     counts = {}
     for label, kind in (("va", Kind.VA), ("sp", Kind.SP)):
         chosen = simple & (landmarks.kind == kind)
-        counts[f"{label}_found"] = {"found": int(np.sum(within & chosen)), "of": int(np.sum(chosen))}
+        counts |= {f"{label}_found": int(np.sum(within & chosen)), f"{label}_total": int(np.sum(chosen))}
     return {
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),

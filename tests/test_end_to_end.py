@@ -78,7 +78,7 @@ def test_two_bounces_report_second_order_anchors(tmp_path):
     stages.bound(path)
     summary, _ = stages.evaluate(path)
     assert len(summary["higher_order_va"]) == np.sum(landmarks.order == 2)
-    assert summary["va_found"]["of"] == 4
+    assert summary["va_total"] == 4
 
 
 def test_a_track_through_a_wall_is_refused_before_anything_is_written(tmp_path):

@@ -31,7 +31,7 @@ def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_
     stages.report(simulated, tmp_path, summary, evaluations)
     written = json.loads((tmp_path / "summary.json").read_text())
     keys = {"position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "peb_m", "heb_deg", "ceb_m", "rmse_over_bound"}
-    assert keys | {"gospa_va_m", "gospa_sp_m", "va_found", "sp_found", "nees", "seed"} <= set(written)
+    assert keys | {"gospa_va_m", "gospa_sp_m", "va_found", "va_total", "sp_found", "nees", "seed"} <= set(written)
     assert set(written["variants"]) == set(stages.VARIANTS)
     for name in ("plan", "errors", "gospa"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000

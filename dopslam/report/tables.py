@@ -41,8 +41,8 @@ _ROWS = (
     ("NEES (expect 4)", lambda v: f"{v['nees']:.1f}"),
     ("GOSPA of VAs, m", lambda v: f"{v['gospa_va_m']:.2f}"),
     ("GOSPA of SPs, m", lambda v: f"{v['gospa_sp_m']:.2f}"),
-    ("VAs found", lambda v: f"{v['va_found']['found']} of {v['va_found']['of']}"),
-    ("SPs found", lambda v: f"{v['sp_found']['found']} of {v['sp_found']['of']}"),
+    ("VAs found", lambda v: f"{v['va_found']} of {v['va_total']}"),
+    ("SPs found", lambda v: f"{v['sp_found']} of {v['sp_total']}"),
 )
 
 
