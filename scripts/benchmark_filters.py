@@ -1,0 +1,41 @@
+#!/usr/bin/env python3
+"""Time per step of the EK-PMB filter and its smoother, and how it grows with landmarks and detections.
+
+python scripts/benchmark_filters.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+
+from dopslam.benchmark import growth, microseconds_per_step
+from dopslam.montecarlo import Study
+from dopslam.simulate import section_v
+from dopslam.slam.pmb import FilterParameters
+from dopslam.slam.smoother import SmootherParameters
+
+
+def main() -> None:
+    """Print one JSON object."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--repeats", type=int, default=5)
+    repeats = parser.parse_args().repeats
+    plain, iterated = FilterParameters(iterations=1), FilterParameters(iterations=2)
+    world = section_v()
+    result = {
+        "plain": microseconds_per_step(Study(world, plain), repeats),
+        "iterated": microseconds_per_step(Study(world, iterated), repeats),
+        "cubature": microseconds_per_step(Study(world, replace(iterated, cubature=True)), repeats),
+        "marginal": microseconds_per_step(Study(world, replace(plain, joint=False)), repeats),
+        "smoother": microseconds_per_step(Study(world, iterated, smoothing=SmootherParameters()), repeats),
+        "growth": growth(repeats),
+    }
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()
