@@ -194,12 +194,12 @@ def test_polarizations_come_from_one_transfer(ring_xml, ring_track):
     np.testing.assert_allclose(traced["+45", "-45"].paths.a, skew, rtol=1e-12)
 
 
-def scene_of(tmp_path, *shapes, name="made.xml"):
+def scene_of(tmp_path, *shapes, name="made.xml", itu="glass"):
     material = (
         '<bsdf type="itu-radio-material" id="stuff"><string name="type" value="{}"/>'
         '<float name="thickness" value="{}"/></bsdf>'
     )
-    body = [material.format("glass", 0.02), *shapes]
+    body = [material.format(itu, 0.02), *shapes]
     file = tmp_path / name
     file.write_text(f'<scene version="2.1.0">{"".join(body)}</scene>')
     return file
@@ -328,3 +328,13 @@ def test_thousands_of_positions_keep_all_their_paths(ring_xml):
         np.testing.assert_array_equal(np.diff(traced.paths.offsets), 9)
         sizes.append(traced.paths.steps)
     assert sizes == [500] * 6
+
+
+def test_metal_reflects_everything(tmp_path):
+    """An upright metal wall makes an image of the base station: Friis over the reflected path."""
+    file = scene_of(tmp_path, upright("wall", 5.0), itu="metal")
+    receivers = np.array([[0.0, 8.0, 1.0], [-3.0, -6.0, 0.0], [2.0, 3.0, -2.0]])
+    landmarks, paths = trace(SceneSource(file), CARRIER, [0.0, 0.0, 3.0], receivers)
+    rows = rows_of(landmarks, paths, "VA wall")
+    length = np.linalg.norm(receivers - [10.0, 0.0, 3.0], axis=1)
+    np.testing.assert_allclose(np.abs(paths.a[rows]), WAVELENGTH / (4 * np.pi * length), rtol=5e-3)
