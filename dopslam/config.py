@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
+from dopslam.dataset_config import DatasetConfig
 from dopslam.errors import ConfigError
 
 Vector3 = tuple[float, float, float]
@@ -231,6 +232,7 @@ class Scenario(_Frozen):
     estimator: Estimator = Estimator()
     filter: Filter = Filter()
     evaluation: Evaluation = Evaluation()
+    dataset: DatasetConfig | None = None
     _folder: Path | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
@@ -349,10 +351,13 @@ def _inner_model(annotation: Any, loc: tuple) -> Any:
     return (tagged or candidates or [None])[0]
 
 
+_TAGS = {"cylinder", "planar", "custom", "motion", "line", "circle", "drive"}  # of unions
+
+
 def _sentence(error: ValidationError) -> str:
     first = error.errors()[0]
     loc = tuple(first["loc"])
-    key = ".".join(str(part) for part in loc if part not in ("cylinder", "planar", "custom"))  # tags of unions
+    key = ".".join(str(part) for part in loc if part not in _TAGS)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         allowed = _fields_at(loc)

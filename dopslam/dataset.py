@@ -2,8 +2,8 @@
 
 Layout, schema version 1: one group per record (``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …), one dataset
 per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the seed at the
-root. Each group but ``signal`` carries the sha256 of its content; every dataset carries a fletcher32 checksum. Files are
-written beside their target, synced and moved into place, so that a file is either the old one or the new one.
+root. Each group carries the sha256 of its content; every dataset carries a fletcher32 checksum. Units, frames and dimensions
+are listed in :mod:`dopslam.schema`. Files are written beside their target, synced and moved into place, so that a file is either the old one or the new one.
 """
 
 from __future__ import annotations
@@ -22,17 +22,11 @@ import h5py
 import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
+from dopslam.schema import UNITS, annotate, is_scale
 
 SCHEMA = "dopslam"
 SCHEMA_VERSION = 1
 _LIBVER = ("v110", "v110")  # checksummed metadata: a damaged file is noticed, not misread
-
-UNITS = {
-    "time": "s", "position": "m", "heading": "rad", "velocity": "m/s", "bias": "m", "start": "m, m, rad, m",
-    "tau": "s", "theta_t": "rad", "phi_t": "rad", "theta_r": "rad", "phi_r": "rad", "doppler": "Hz", "vertices": "m",
-    "delay": "s", "aoa": "rad", "aod": "rad", "radial_velocity": "m/s", "noise_variance": "W", "gain": "sqrt(W)",
-    "state": "m, m, rad, m", "y": "sqrt(W)",
-}  # fmt: skip
 
 Record = TypeVar("Record")
 
@@ -148,13 +142,16 @@ def write_record(path: str | Path, group: str, record, scenario_toml: str | None
     write_records(path, {group: record}, scenario_toml, seed)
 
 
-def write_records(path, records: dict[str, Any], scenario_toml: str | None = None, seed: int | None = None) -> None:
-    """Add or replace several records at once; see :func:`write_record`."""
+def write_records(
+    path, records: dict[str, Any], scenario_toml: str | None = None, seed: int | None = None, attributes: dict | None = None
+) -> None:
+    """Add or replace several records at once, and attributes of the root; see :func:`write_record`."""
     with _replacing(Path(path)) as file:
         if scenario_toml is not None:
             file.attrs["scenario"] = scenario_toml
         if seed is not None:
             file.attrs["seed"] = seed
+        file.attrs.update(attributes or {})
         for group, record in records.items():
             _write_group(file, group, record)
 
@@ -173,6 +170,7 @@ def _write_group(file: h5py.File, group: str, record) -> None:
         chunked = {"fletcher32": True} if array.size and array.dtype.kind != "O" else {}
         dataset = node.create_dataset(name, data=array, dtype=dtype, **chunked)
         dataset.attrs["units"] = UNITS.get(name, "1")
+    annotate(node, type(record).__name__)
 
 
 def read_record(path: str | Path, group: str, record_type: type[Record]) -> Record:
@@ -238,7 +236,7 @@ def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) 
         if "signal" in file:
             del file["signal"]
         node = file.create_group("signal")
-        dataset = None
+        dataset, digest = None, hashlib.sha256()
         for step, y in enumerate(snapshots):
             if dataset is None:
                 dataset = node.create_dataset(
@@ -246,6 +244,9 @@ def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) 
                 )
                 dataset.attrs["units"] = UNITS["y"]
             dataset[step] = y
+            digest.update(np.ascontiguousarray(y, np.complex64).tobytes())
+        node.attrs["record"], node.attrs["sha256"] = "Signal", digest.hexdigest()
+        annotate(node, "Signal")
 
 
 def read_snapshot(path: str | Path, step: int) -> np.ndarray:
@@ -269,4 +270,54 @@ def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
             (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(data.attrs.get("units", "")))
             for group in sorted(file)
             for name, data in file[group].items()
+            if not is_scale(file[group], name)
         ]
+
+
+def stored_hashes(path: str | Path) -> dict[str, str]:
+    """Group → sha256 of its content as the file states it, without reading the content; empty where none is stated."""
+    with _reading(Path(path)) as file:
+        return {group: str(file[group].attrs.get("sha256", "")) for group in sorted(file)}
+
+
+def root_attributes(path: str | Path) -> dict[str, Any]:
+    """Attributes of the whole file: schema, scenario, seed, and what its maker noted."""
+    with _reading(Path(path)) as file:
+        return {k: v.item() if isinstance(v, np.generic) else v for k, v in file.attrs.items()}
+
+
+def record_type(path: str | Path, group: str) -> str:
+    """Name of the record a group holds."""
+    with _reading(Path(path)) as file:
+        return str(file[group].attrs.get("record", ""))
+
+
+def verify_group(path: str | Path, group: str) -> str:
+    """Read a group whole, a snapshot at a time if it is the signal, and return the sha256 of what was read.
+
+    Raises
+    ------
+    DatasetError
+        When it cannot be read or does not match the hash stated in the file.
+    """
+    with _reading(Path(path)) as file:
+        node = file[group]
+        if group == "signal":
+            digest = hashlib.sha256()
+            for step in range(node["y"].shape[0]):
+                digest.update(node["y"][step].tobytes())
+            found = digest.hexdigest()
+        else:
+            columns = {}
+            for name in node:
+                if not is_scale(node, name):
+                    array = node[name][()]
+                    if array.dtype.kind == "O":
+                        array = np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
+                    columns[name] = array
+            plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in node.attrs.items()}
+            found = _digest(columns, {k: v for k, v in plain.items() if k not in ("record", "sha256")})
+        stated = node.attrs.get("sha256")
+        if stated is not None and stated != found:
+            raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
+        return found

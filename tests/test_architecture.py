@@ -58,11 +58,13 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {"errors", "records", "compiled", "llvm", "geometry", "config", "metrics", "radio", "dataset"},
+    {"errors", "records", "compiled", "llvm", "geometry", "config", "dataset_config", "polygon", "schema", "metrics", "radio", "dataset"},
     {"models", "raytracing"},
     {"slam", "simulate", "bounds"},
     {"build", "evaluation", "matching", "report"},
     {"pipeline"},
+    {"tracks", "datasets", "cluster", "foreign"},
+    {"export"},
     {"stages", "studies", "montecarlo"},
     {"traced_study"},
     {"cli"},

@@ -1,0 +1,71 @@
+"""The optional section ``[dataset]`` of a scenario: which tracks a large dataset is made of.
+
+Without the section, every drive is one draw of the scenario's motion model (``[track]``). Speed, period and clock are those of
+``[track]`` unless a kind says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Point = tuple[float, float]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MotionTracks(_Frozen):
+    """Every drive is one realization of the scenario's motion model, eq. (1)."""
+
+    kind: Literal["motion"] = "motion"
+
+
+class LineTracks(_Frozen):
+    """To and fro between two points, from a random place on the line in a random direction."""
+
+    kind: Literal["line"]
+    ends: tuple[Point, Point]  # m
+
+
+class CircleTracks(_Frozen):
+    """Around a center, from a random place in a random direction."""
+
+    kind: Literal["circle"]
+    center: Point = (0.0, 0.0)  # m
+    radius: Positive  # m
+
+
+class DriveTracks(_Frozen):
+    """Smooth random drives that never leave a polygon."""
+
+    kind: Literal["drive"]
+    polygon: Annotated[tuple[Point, ...], Field(min_length=3)]  # m, corners in order
+    speed: tuple[Positive, Positive] | None = None  # m/s, least and largest; None: track.speed
+    turn_rate: Positive = 0.6  # rad/s, largest
+    restlessness: Annotated[float, Field(ge=0)] = 0.2  # rad/s per √s, by which the turn rate walks
+
+
+class FileTracks(_Frozen):
+    """Tracks of one's own: CSV with a header, columns time, x, y and optionally z, heading, vx, vy, vz, bias, drive."""
+
+    kind: Literal["file"]
+    file: str  # beside scenario.toml, or absolute
+
+
+TracksConfig = Annotated[
+    MotionTracks | LineTracks | CircleTracks | DriveTracks | FileTracks, Field(discriminator="kind")
+]
+
+
+class DatasetConfig(_Frozen):
+    """What ``dopslam dataset`` makes."""
+
+    tracks: TracksConfig = MotionTracks()
+    steps: Count | None = None  # of one drive; None: track.steps
+    shard_positions: Annotated[int, Field(ge=1, le=100_000)] = 2000  # most positions of one shard
+    shard_megabytes: Positive = 1000.0  # most of a shard's signal, where it is stored
