@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
-from dopslam.models.motion import CoordinatedTurn, propagate
+from dopslam.models.kernels import propagate_state
+from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.ek_pmb import (
     Diagnostics,
@@ -78,6 +79,12 @@ class _Window:
         self.factors: list[tuple[int, int, int]] = []  # step, track, row of the measurement
         self.weight = np.linalg.inv(motion.process_noise + 1e-12 * np.eye(self.n))
         self.covariance = prior[1]
+
+    def extend(self) -> None:
+        """Append the predicted next state."""
+        motion, jacobian = self.motion, np.empty((self.n, self.n))
+        state = propagate_state(self.states[-1], motion.interval, motion.speed, motion.turn_rate, jacobian)
+        self.states = np.concatenate([self.states, state[None]])
 
     def drop(self, gone: list[int]) -> None:
         """Marginalize landmarks out of the prior."""
@@ -195,7 +202,7 @@ def run(
         window.factors += [
             (k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >= BS_TRACK
         ]
-        window.states = np.vstack([window.states, propagate(window.states[-1], motion)])
+        window.extend()
         likely = existence * np.where(kind == 1, va, 1.0 - va)
         window.agree(position, kind, track, likely > smoothing.confirmed)
         window.solve(z, whiteners)

@@ -15,6 +15,24 @@ CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step
 
 
 @compiled
+def cholesky_upper(matrix, size):
+    """Upper factor U, UᵀU = matrix, in the upper triangle, by whole rows; False if not definite."""
+    for j in range(size):
+        pivot = matrix[j, j]
+        if not pivot > 0.0:
+            return False
+        scale = 1.0 / np.sqrt(pivot)
+        for k in range(j, size):
+            matrix[j, k] *= scale
+        for i in range(j + 1, size):
+            w = matrix[j, i]
+            if w != 0.0:
+                for k in range(i, size):
+                    matrix[i, k] -= w * matrix[j, k]
+    return True
+
+
+@compiled
 def add_motion(information, vector, at, states, j, weight, model, vectors_only_cost):
     """Add ‖s_{j+1} - f(s_j)‖² to the normal equations, s_j at row `at`; returns its cost."""
     n = states.shape[1]
@@ -205,17 +223,18 @@ def solve_window(
         for i in range(size):
             for j in range(size):
                 factor[i, j] = information[i, j] * scale[i] * scale[j]
-        if not cholesky(factor, size):
+        if not cholesky_upper(factor, size):
             return states, landmarks, factor, -1
         for i in range(size):
-            value = step[i] * scale[i]
-            for k in range(i):
-                value -= factor[i, k] * step[k]
-            step[i] = value / factor[i, i]
+            step[i] *= scale[i]
+        for i in range(size):
+            step[i] /= factor[i, i]
+            for k in range(i + 1, size):
+                step[k] -= factor[i, k] * step[i]
         for i in range(size - 1, -1, -1):
             value = step[i]
             for k in range(i + 1, size):
-                value -= factor[k, i] * step[k]
+                value -= factor[i, k] * step[k]
             step[i] = value / factor[i, i]
         for i in range(size):
             step[i] *= scale[i]
@@ -251,13 +270,13 @@ def solve_window(
         states, landmarks = new_states, new_landmarks
         if length < CONVERGED:
             break
-    # The trailing block of (F Fᵀ)⁻¹ is (F₂ F₂ᵀ)⁻¹ with F₂ the trailing block of F: all that is asked for.
+    # The trailing block of (UᵀU)⁻¹ is (U₂ᵀU₂)⁻¹ with U₂ the trailing block of U: all that is asked for.
     head = base - n
     tail = size - head
     inverse = np.zeros((tail, tail))
     for j in range(tail):
         inverse[j, j] = 1.0
-    solve_lower(factor[head:, head:].copy(), tail, inverse)
+    solve_lower(factor[head:, head:].T.copy(), tail, inverse)
     covariance = inverse.T.copy() @ inverse
     for i in range(tail):
         for j in range(tail):
