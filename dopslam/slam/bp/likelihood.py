@@ -56,7 +56,9 @@ class Constants:
 class Backend(Protocol):
     """Sums over particles of one group of rows with the same form; agent is (4, N)."""
 
-    def evidence(self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, c: Constants) -> Array: ...
+    def evidence(
+        self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, c: Constants
+    ) -> Array: ...
 
     def messages(
         self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, nu: Array, c: Constants
@@ -78,7 +80,9 @@ def backend(name: str) -> Backend:
 
 def _scan_columns(scan: Scan) -> Array:
     """(M, 6) float32: distance, AOA x y, AOD x y, amplitude."""
-    return np.column_stack([scan.distance, scan.aoa[:, :2], scan.aod[:, :2], scan.amplitude]).astype(np.float32)
+    return np.column_stack([scan.distance, scan.aoa[:, :2], scan.aod[:, :2], scan.amplitude]).astype(
+        np.float32
+    )
 
 
 def _norms(form: Form, c: Constants) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from dopslam.slam.bp.likelihood import Constants, _norms, _scan_columns
 from dopslam.slam.bp.records import Form, Scan
 
 _PAD = 4  # measurements per kernel are padded to a multiple
+_BLOCK = 256  # particles summed in one place
 
 
 class DrJitBackend:
@@ -33,19 +34,39 @@ class DrJitBackend:
         features, particles = x.shape
         if features == 0 or len(scan) == 0:
             return np.zeros((features, len(scan)))
-        dr = self._dr
-        densities, _, _ = self._densities(form, x, y, u, agent, scan, c, False)
-        sums = [dr.block_reduce(dr.ReduceOp.Add, density, particles) for density in densities[: len(scan)]]
+        dr, Float = self._dr, self._float
+        blocks = -(-particles // _BLOCK)
+        lane = dr.arange(self._index, features * blocks * _BLOCK)
+        row = lane // (blocks * _BLOCK)
+        own = lane - row * (blocks * _BLOCK)
+        valid = own < particles
+        own = dr.minimum(own, particles - 1)
+        buffers = [Float(a.ravel()) for a in (x, y, u)], [Float(a) for a in agent]
+        uniform, z = self._uniform(form, scan, c)
+        count = dr.width(z[0])
+        densities, _ = self._densities(form, buffers, row * particles + own, own, uniform, z, count)
+        # One sum per block, and a block is never shared by threads: the order of the additions is always the same.
+        sums = [dr.zeros(Float, features * blocks) for _ in range(count)]
+        for total, density in zip(sums, densities, strict=True):
+            dr.scatter_reduce(
+                dr.ReduceOp.Add, total, density, lane // _BLOCK, valid, mode=dr.ReduceMode.Local
+            )
         dr.eval(sums)
-        return np.stack([s.numpy() for s in sums], axis=1).astype(float) / particles
+        parts = np.stack([total.numpy() for total in sums[: len(scan)]], axis=1).astype(float)
+        return parts.reshape(features, blocks, len(scan)).sum(axis=1) / particles
 
     def messages(self, form: Form, x, y, u, agent, scan: Scan, nu, c: Constants) -> np.ndarray:
         """λ, (K, N) float32."""
         features, particles = x.shape
         if features == 0:
             return np.zeros(x.shape, np.float32)
-        dr = self._dr
-        densities, u_lanes, row = self._densities(form, x, y, u, agent, scan, c, True)
+        dr, Float = self._dr, self._float
+        lane = dr.arange(self._index, features * particles)
+        row = lane // particles
+        buffers = [Float(a.ravel()) for a in (x, y, u)], [Float(a) for a in agent]
+        uniform, z = self._uniform(form, scan, c)
+        count = dr.width(z[0])
+        densities, u_lanes = self._densities(form, buffers, lane, lane - row * particles, uniform, z, count)
         padded = np.zeros((features, len(densities)), np.float32)
         padded[:, : len(scan)] = nu
         weights = self._float(padded.ravel())
@@ -60,24 +81,26 @@ class DrJitBackend:
             total = dr.fma(dr.gather(self._float, weights, base + m), density, total)
         return total.numpy().reshape(features, particles)
 
-    def _densities(self, form, x, y, u, agent, scan, c, need_row):
-        dr, Float = self._dr, self._float
-        features, particles = x.shape
-        lane = dr.arange(self._index, features * particles)
-        row = lane // particles
-        own = lane - row * particles
-        qx, qy, ui = (Float(a.ravel()) for a in (x, y, u))
-        ax, ay, cos, sin = (dr.gather(Float, Float(a), own) for a in agent)
+    def _uniform(self, form, scan, c):
+        """Buffers of constants and of the padded measurements' columns."""
         count = max(_PAD, -(-len(scan) // _PAD) * _PAD)
         columns = np.ones((count, 6), np.float32)
         columns[: len(scan)] = _scan_columns(scan)
         columns[len(scan) :, 0] = 1e9  # padding: a distance with density 0
-        z = [Float(np.ascontiguousarray(columns[:, j])) for j in range(6)]
-        log_norm, power = _norms(form, c)
-        uniform = Float(
-            np.concatenate([0.5 / c.unit**2, c.anchor[:2], [np.exp(log_norm), c.quarter_samples]]).astype(np.float32)
+        log_norm, _ = _norms(form, c)
+        constants = [*(0.5 / c.unit**2), *c.anchor[:2], np.exp(log_norm), c.quarter_samples]
+        return self._float(np.array(constants, np.float32)), [
+            self._float(np.ascontiguousarray(columns[:, j])) for j in range(6)
+        ]
+
+    def _densities(self, form, buffers, index, own, uniform, z, count):
+        """p_d f of every measurement at lanes that read particle ``index`` of the rows and ``own`` of the agent."""
+        dr, Float = self._dr, self._float
+        qx, qy, ui = (dr.gather(Float, a, index) for a in buffers[0])
+        ax, ay, cos, sin = (dr.gather(Float, a, own) for a in buffers[1])
+        gd, ga, gt, anchor_x, anchor_y, norm, quarter = (
+            dr.gather(Float, uniform, self._index(j)) for j in range(7)
         )
-        gd, ga, gt, anchor_x, anchor_y, norm, quarter = (dr.gather(Float, uniform, self._index(j)) for j in range(7))
         ex, ey = qx - ax, qy - ay
         inverse = dr.rsqrt(ex * ex + ey * ey)
         d = (ex * ex + ey * ey) * inverse
@@ -99,7 +122,7 @@ class DrJitBackend:
         v = 0.5 + quarter * u2
         half = 0.5 / v
         factor = norm * u2 * dr.rsqrt(v * ui)
-        if power == 3.0:
+        if form != Form.VA:
             factor *= ui
         correction = 0.125 * v / ui
         densities = []
@@ -114,4 +137,4 @@ class DrJitBackend:
             offset = zu - ui
             cost = u2 * cost + half * offset * offset
             densities.append(dr.exp(-cost) * factor * (dr.sqrt(zu) + correction * dr.rsqrt(zu)))
-        return densities, ui, row
+        return densities, ui

@@ -80,13 +80,19 @@ class RaoBlackwell:
     birth_particles: int = 128
     gate: float = 1e-7
 
-    def init(self, agent: np.ndarray, log_weight: np.ndarray) -> State:
-        """State before the first step from initial particles (:mod:`dopslam.slam.bp.start`)."""
-        # An amplitude prior as wide as its support: the first line of sight sets it.
+    def init(
+        self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None
+    ) -> State:
+        """State before the first step from initial particles (:mod:`dopslam.slam.bp.start`).
+
+        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %; without it the prior is as wide as
+        the amplitudes' support.
+        """
         end = self.parameters.amplitude_end
+        mean, deviation = (end / 4, end / 4) if sight_amplitude is None else (sight_amplitude, 0.1 * sight_amplitude)
         return State(
             np.array(agent, float), np.array(log_weight, float), Features.empty(len(self.parameters.types)),
-            np.array([0.9, end / 4, (end / 4) ** 2]), 0,
+            np.array([0.9, mean, deviation**2]), 0,
         )  # fmt: skip
 
     def step(self, rng: np.random.Generator, state: State, scan: Scan) -> tuple[State, Info]:

@@ -12,6 +12,7 @@ from dopslam.models.measurement import wrap
 from dopslam.slam.bp.experiment import Experiment, Truth
 from dopslam.slam.bp.rao_blackwell import RaoBlackwell, State
 from dopslam.slam.bp.records import Form, Info, Scan
+from dopslam.slam.bp.stacked import Stacked, StackedState
 from dopslam.slam.bp.start import Box, informed_start, uniform_start
 
 
@@ -20,7 +21,7 @@ class History:
     """Infos of every step, the final state and the CPU time per step [s]."""
 
     infos: list[Info]
-    state: State
+    state: State | StackedState
     seconds_per_step: float
 
     @property
@@ -35,7 +36,7 @@ class History:
 
 
 def run(
-    filter_: RaoBlackwell,
+    filter_: RaoBlackwell | Stacked,
     rng: np.random.Generator,
     scans: Sequence[Scan],
     box: Box,
@@ -46,9 +47,10 @@ def run(
     """Start from the box prior (informed by the first line of sight or not) and filter every scan."""
     if informed:
         start = informed_start(rng, box, scans[0], filter_.parameters, filter_.motion.interval, size)
+        state = filter_.init(*start, float(scans[0].amplitude.max(initial=1.0)))
     else:
-        start = uniform_start(rng, box, size)
-    return run_from(filter_, rng, scans, filter_.init(*start))
+        state = filter_.init(*uniform_start(rng, box, size))
+    return run_from(filter_, rng, scans, state)
 
 
 def run_from(filter_, rng: np.random.Generator, scans: Sequence[Scan], state) -> History:

@@ -27,7 +27,7 @@ _BIRTH_AGENTS = 500
 
 @dataclass(frozen=True, slots=True)
 class StackedState:
-    """Agent (N, 8) with log weights (N,), features' particles (T, K, 3, N) = x, y [m], u; labels (K,), weights
+    """Agent (N, 8) with log weights (N,), features' particles (T, 3, K, N) = x, y [m], u; labels (K,), weights
     (K, T); the line of sight's existence and amplitude particles (N,)."""
 
     agent: np.ndarray
@@ -52,14 +52,23 @@ class Stacked:
     radio: Radio
     backend: Backend
 
-    def init(self, agent: np.ndarray, log_weight: np.ndarray) -> StackedState:
-        """State before the first step."""
+    def init(
+        self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None
+    ) -> StackedState:
+        """State before the first step.
+
+        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %. Without it the amplitude is uniform,
+        and since every agent particle carries one, most of them are lost to it in the first step.
+        """
         types, size = len(self.parameters.types), len(agent)
-        u = np.linspace(1.0, self.parameters.amplitude_end / 2, size).astype(np.float32)
-        u = u[(np.arange(size) * _stride(size)) % size]  # independent of the particles' order
+        share = ((np.arange(size) * _stride(size)) % size + 0.5) / size  # independent of the particles' order
+        if sight_amplitude is None:
+            u = 1.0 + share * (0.5 * self.parameters.amplitude_end - 1.0)
+        else:
+            u = sight_amplitude * (0.9 + 0.2 * share)
         return StackedState(
-            np.array(agent, float), np.array(log_weight, float), np.zeros((types, 0, 3, size), np.float32),
-            np.zeros(0, int), np.zeros((0, types)), 0.9, u, 0,
+            np.array(agent, float), np.array(log_weight, float), np.zeros((types, 3, 0, size), np.float32),
+            np.zeros(0, int), np.zeros((0, types)), 0.9, u.astype(np.float32), 0,
         )  # fmt: skip
 
     def step(self, rng: np.random.Generator, state: StackedState, scan: Scan) -> tuple[StackedState, Info]:
@@ -79,7 +88,7 @@ class Stacked:
 
         log_false_alarm = parameters.log_false_alarm(scan)
         means = [
-            self.backend.evidence(form, rows[:, 0], rows[:, 1], rows[:, 2], stacked, scan, constants)
+            self.backend.evidence(form, *rows, stacked, scan, constants)
             for form, rows in groups
         ]
         log_c = self._birth_evidence(rng, agent, scan)
@@ -87,26 +96,22 @@ class Stacked:
 
         nu = np.exp(np.minimum(association.log_nu, 80.0))
         nu[association.marginal[:, 1:] < 1e-7] = 0.0
-        lam = [
-            self.backend.messages(
-                form, rows[:, 0], rows[:, 1], rows[:, 2], stacked, scan, nu[:1] if form == Form.LOS else nu[1:], constants
-            )
-            for form, rows in groups
-        ]  # fmt: skip
-        log_weight = np.log(np.maximum(sight * lam[0][0].astype(float) + 1 - sight, 1e-300))
+        sight_lam = self.backend.messages(Form.LOS, *groups[0][1], stacked, scan, nu[:1], constants)
+        lam = np.empty((len(types), len(weight), size), np.float32)
+        for t, (form, rows) in enumerate(groups[1:]):
+            lam[t] = self.backend.messages(form, *rows, stacked, scan, nu[1:], constants)
+        log_weight = np.log(np.maximum(sight * sight_lam[0].astype(float) + 1 - sight, 1e-300))
         exists = weight.sum(axis=1)
-        for k in range(len(weight)):
-            gamma = sum(weight[k, t] * lam[1 + t][k].astype(float) for t in range(len(types))) + 1 - exists[k]
-            log_weight += np.log(np.maximum(gamma, 1e-300))
+        _add_log_gammas(log_weight, lam, weight, np.maximum(1 - exists, 0.0))
         normal = normalized(log_weight)
 
-        evidence = np.stack([lam[1 + t].mean(axis=1, dtype=float) for t in range(len(types))], axis=1)
+        evidence = lam.mean(axis=2, dtype=float).T
         weight = weight * evidence / ((weight * evidence).sum(axis=1) + 1 - exists)[:, None]
-        found = sight * float(lam[0].mean(dtype=float))
+        found = sight * float(sight_lam.mean(dtype=float))
         sight = found / (found + 1 - sight)
         keep = np.flatnonzero(weight.sum(axis=1) > parameters.pruning_threshold)
-        particles = np.stack([_resampled_rows(rng, particles[t], lam[1 + t], keep) for t in range(len(types))])
-        sight_u = _resampled_rows(rng, groups[0][1], lam[0], np.zeros(1, int))[0, 2]
+        particles = _resampled_rows(rng, particles, lam, keep)
+        sight_u = _resampled_rows(rng, groups[0][1][None], sight_lam[None], np.zeros(1, int))[0, 2, 0]
         effective = effective_size(normal)
         ancestors = systematic(rng, normal, size)
         agent = agent[ancestors]
@@ -143,13 +148,13 @@ class Stacked:
         if likely.size == 0:
             return state
         types, size = self.parameters.types, len(agent)
-        fresh = np.empty((len(types), likely.size, 3, size), np.float32)
+        fresh = np.empty((len(types), 3, likely.size, size), np.float32)
         for j, m in enumerate(likely):
             for t, form in enumerate(types):
-                fresh[t, j] = _sample_birth(rng, form, self.parameters, agent, scan, m)
+                fresh[t, :, j] = _sample_birth(rng, form, self.parameters, agent, scan, m)
         share = normalized(log_birth[likely])
         return StackedState(
-            state.agent, state.log_weight, np.concatenate([state.particles, fresh], axis=1),
+            state.agent, state.log_weight, np.concatenate([state.particles, fresh], axis=2),
             np.concatenate([state.label, state.next_label + np.arange(likely.size)]),
             np.concatenate([state.weight, existence[likely, None] * share]),
             state.sight, state.sight_amplitude, state.next_label + likely.size,
@@ -170,44 +175,107 @@ def _stacked_agent(agent: np.ndarray) -> np.ndarray:
 
 
 def _sight_rows(parameters: Parameters, amplitude: np.ndarray) -> np.ndarray:
-    rows = np.empty((1, 3, len(amplitude)), np.float32)
-    rows[0, 0], rows[0, 1], rows[0, 2] = parameters.anchor[0], parameters.anchor[1], amplitude
+    rows = np.empty((3, 1, len(amplitude)), np.float32)
+    rows[0], rows[1], rows[2] = parameters.anchor[0], parameters.anchor[1], amplitude
     return rows
 
 
 def _predict(rng, parameters: Parameters, particles: np.ndarray, sight_u: np.ndarray):
     """Random walks of positions and amplitudes, from one pool of normals read at random offsets per row."""
-    types, features, _, size = particles.shape
+    types, _, features, size = particles.shape
     pool = rng.standard_normal(4 * size + 1024, dtype=np.float32)
-    offsets = rng.integers(0, 3 * size + 1024, (types, features, 3))
-    walked = particles.copy()
-    _walk(walked, pool, offsets, np.float32(parameters.position_walk), np.float32(parameters.amplitude_walk))
+    offsets = rng.integers(0, 3 * size + 1024, (types, 3, features))
+    walked = np.empty_like(particles)
+    _walk(particles, walked, pool, offsets, np.float32(parameters.position_walk), np.float32(parameters.amplitude_walk))
     noise = rng.standard_normal(size, dtype=np.float32)
     return walked, np.maximum(sight_u * (1 + np.float32(parameters.amplitude_walk) * noise), np.float32(0.5))
 
 
 @compiled
-def _walk(particles, pool, offsets, position, amplitude):
-    types, features, _, size = particles.shape
+def _add_log_gammas(log_weight, lam, weight, none):
+    """Adds Σ_k ln [Σ_t W_kt λ_kt(i) + 1 − Σ_t W_kt] to every particle's log weight."""
+    types, features, size = lam.shape
+    product = np.ones(size)
+    for k in range(features):
+        for i in range(size):
+            total = none[k]
+            for t in range(types):
+                total += weight[k, t] * lam[t, k, i]
+            product[i] *= max(total, 1e-300)
+            if product[i] > 1e150 or product[i] < 1e-150:  # one logarithm for many factors
+                log_weight[i] += np.log(max(product[i], 1e-300))
+                product[i] = 1.0
+    for i in range(size):
+        log_weight[i] += np.log(product[i])
+
+
+@compiled
+def _row_moments(particles):
+    """Means (T, K, 3) and the moments xx, xy, yy, uu (T, K, 4) of every row's particles."""
+    types, _, features, size = particles.shape
+    mean, spread = np.zeros((types, features, 3)), np.zeros((types, features, 4))
+    for t in range(types):
+        for k in range(features):
+            x, y, u = particles[t, 0, k], particles[t, 1, k], particles[t, 2, k]
+            x0, y0, u0 = float(x[0]), float(y[0]), float(u[0])
+            sx, sy, su, xx, xy, yy, uu = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(size):
+                a, b, c = x[i] - x0, y[i] - y0, u[i] - u0
+                sx += a
+                sy += b
+                su += c
+                xx += a * a
+                xy += a * b
+                yy += b * b
+                uu += c * c
+            sx, sy, su = sx / size, sy / size, su / size
+            mean[t, k, 0], mean[t, k, 1], mean[t, k, 2] = x0 + sx, y0 + sy, u0 + su
+            spread[t, k, 0], spread[t, k, 1] = xx / size - sx * sx, xy / size - sx * sy
+            spread[t, k, 2], spread[t, k, 3] = yy / size - sy * sy, uu / size - su * su
+    return mean, spread
+
+
+@compiled
+def _mean_missed(u, table, step):
+    """(K,) mean of 1 − p_d over the particles (K, N), from its table."""
+    features, size = u.shape
+    last = np.float32(table.size - 1.001)
+    result = np.empty(features)
+    for k in range(features):
+        total = 0.0
+        for i in range(size):
+            position = min(u[k, i] / step, last)
+            index = int(position)
+            share = position - np.float32(index)
+            total += table[index] * (np.float32(1.0) - share) + table[index + 1] * share
+        result[k] = total / size
+    return result
+
+
+@compiled
+def _walk(particles, walked, pool, offsets, position, amplitude):
+    types, _, features, size = particles.shape
     floor = np.float32(0.5)
     one = np.float32(1.0)
     for t in range(types):
         for k in range(features):
             for a in range(2):
-                start = offsets[t, k, a]
+                start = offsets[t, a, k]
                 for i in range(size):
-                    particles[t, k, a, i] += position * pool[start + i]
-            start = offsets[t, k, 2]
+                    walked[t, a, k, i] = particles[t, a, k, i] + position * pool[start + i]
+            start = offsets[t, 2, k]
             for i in range(size):
-                particles[t, k, 2, i] = max(particles[t, k, 2, i] * (one + amplitude * pool[start + i]), floor)
+                walked[t, 2, k, i] = max(particles[t, 2, k, i] * (one + amplitude * pool[start + i]), floor)
 
 
 def _associate(weight, sight, means, groups, constants, log_false_alarm, log_c):
     """Loopy data association on the Monte Carlo evidence."""
-    from dopslam.slam.bp.likelihood import missed_of
-
-    missed = [missed_of(rows[:, 2], constants).mean(axis=1, dtype=float) for _, rows in groups]
-    detected = np.vstack([sight * means[0], sum(weight[:, t, None] * means[1 + t] for t in range(weight.shape[1]))])
+    missed = [
+        _mean_missed(rows[2], constants.missed, np.float32(constants.missed_step)) for _, rows in groups
+    ]
+    detected = np.vstack(
+        [sight * means[0], sum(weight[:, t, None] * means[1 + t] for t in range(weight.shape[1]))]
+    )
     lost = np.concatenate(
         [
             sight * missed[0] + 1 - sight,
@@ -220,41 +288,44 @@ def _associate(weight, sight, means, groups, constants, log_false_alarm, log_c):
 
 
 def _resampled_rows(rng, rows: np.ndarray, lam: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    """Systematic resampling of the kept rows (K', 3, N); copies are scattered over the row."""
-    size = rows.shape[2]
-    out = np.empty((keep.size, 3, size), np.float32)
-    _resample(rows, lam, keep, rng.random(keep.size), rng.integers(0, size, keep.size), _stride(size), out)
+    """Systematic resampling of the kept rows, (T, 3, K', N), by λ (T, K, N); copies are scattered over the row."""
+    types, _, _, size = rows.shape
+    out = np.empty((types, 3, keep.size, size), np.float32)
+    points, starts = rng.random((types, keep.size)), rng.integers(0, size, (types, keep.size))
+    _resample(rows, lam, keep, points, starts, _stride(size), out)
     return out
 
 
 @compiled
 def _resample(rows, lam, keep, points, starts, stride, out):
-    size = rows.shape[2]
-    for j in range(keep.size):
-        k = keep[j]
-        total = 0.0
-        for i in range(size):
-            total += lam[k, i]
-        step = total / size
-        threshold = points[j] * step
-        cumulative = 0.0
-        source = 0
-        cumulative = lam[k, 0]
-        place = starts[j]
-        for _ in range(size):
-            while cumulative < threshold and source < size - 1:
-                source += 1
-                cumulative += lam[k, source]
-            out[j, 0, place] = rows[k, 0, source]
-            out[j, 1, place] = rows[k, 1, source]
-            out[j, 2, place] = rows[k, 2, source]
-            threshold += step
-            place += stride
-            if place >= size:
-                place -= size
+    types, _, _, size = rows.shape
+    for t in range(types):
+        for j in range(keep.size):
+            k = keep[j]
+            total = 0.0
+            for i in range(size):
+                total += lam[t, k, i]
+            step = total / size
+            threshold = points[t, j] * step
+            source = 0
+            cumulative = float(lam[t, k, 0])
+            place = starts[t, j]
+            for _ in range(size):
+                while cumulative < threshold and source < size - 1:
+                    source += 1
+                    cumulative += lam[t, k, source]
+                out[t, 0, j, place] = rows[t, 0, k, source]
+                out[t, 1, j, place] = rows[t, 1, k, source]
+                out[t, 2, j, place] = rows[t, 2, k, source]
+                threshold += step
+                place += stride
+                if place >= size:
+                    place -= size
 
 
-def _sample_birth(rng, form: Form, parameters: Parameters, agent: np.ndarray, scan: Scan, m: int) -> np.ndarray:
+def _sample_birth(
+    rng, form: Form, parameters: Parameters, agent: np.ndarray, scan: Scan, m: int
+) -> np.ndarray:
     """(3, N) particles x, y, u of a new feature: proposed from two measured quantities, resampled by the third."""
     size = len(agent)
     sigma = np.sqrt(np.diag(scan.covariance[m]))
@@ -290,17 +361,15 @@ def _sample_birth(rng, form: Form, parameters: Parameters, agent: np.ndarray, sc
 
 def _moments(state: StackedState) -> Features:
     """Gaussian summary of the features' particles, for the estimates."""
-    types, features, _, size = state.particles.shape
+    types, _, features, _ = state.particles.shape
     mean, covariance = np.zeros((features, types, 3)), np.zeros((features, types, 3, 3))
     amplitude = np.zeros((features, 2))
-    for t in range(types):
-        for k in range(features):
-            xy = state.particles[t, k, :2].astype(float)
-            mean[k, t, :2] = xy.mean(axis=1)
-            covariance[k, t, :2, :2] = np.cov(xy)
     if features:
-        u = state.particles[:, :, 2].astype(float)
+        center, spread = _row_moments(state.particles)
+        mean[:, :, :2] = center[:, :, :2].swapaxes(0, 1)
+        for (a, b), column in (((0, 0), 0), ((0, 1), 1), ((1, 0), 1), ((1, 1), 2)):
+            covariance[:, :, a, b] = spread[:, :, column].T
         share = state.weight / state.weight.sum(axis=1, keepdims=True)
-        amplitude[:, 0] = np.einsum("kt,tk->k", share, u.mean(axis=2))
-        amplitude[:, 1] = np.einsum("kt,tk->k", share, u.var(axis=2))
+        amplitude[:, 0] = np.einsum("kt,tk->k", share, center[:, :, 2])
+        amplitude[:, 1] = np.einsum("kt,tk->k", share, spread[:, :, 3])
     return Features(state.label, state.weight, mean, covariance, amplitude)
