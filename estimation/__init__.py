@@ -29,7 +29,8 @@ from .signal.model import SignalModel
 from .signal.paths import PARAMETERS, PathTable
 from .signal.patterns import CosinePattern, DipolePattern, EadfArray, outward
 from .signal.schedule import Schedule, antenna_switching, dft_beams, digital, random_phase_beams, sweep
-from .signal.synthesis import synthesize, white_noise
+from .signal.noise import white_noise
+from .signal.synthesis import synthesize
 from .signal.waveform import SPEED_OF_LIGHT, Waveform, comb
 
 __all__ = [

@@ -17,7 +17,7 @@ from ..errors import ModelError
 from ..signal.algebra import coherence, signal_of, weighted_blocks
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry, PathTable
-from ..signal.synthesis import white_noise
+from ..signal.noise import white_noise
 from . import report
 from .dense import DenseSearch
 from .detect import effective_volume, search_volume, threshold_for

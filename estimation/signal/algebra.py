@@ -6,6 +6,7 @@ Index 0 of the axes of length 7 is the signature itself, 1..6 its derivative alo
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.blas import cgemm
 
 from .arrays import Complex
 from .model import Band, SignalModel, flat
@@ -15,14 +16,19 @@ Blocks = list[list[Complex]]
 
 
 def signal_of(model: SignalModel, blocks: Blocks, gain: Complex) -> np.typing.NDArray[np.complex64]:
-    """Noise-free whitened signal (model.shape) of paths with complex ``gain`` (P,): two Khatri-Rao halves and one product."""
-    out = np.empty(model.shape, np.complex64)
+    """Noise-free whitened signal (model.shape) of paths with complex ``gain`` (P,)."""
+    return add_signal(model, blocks, gain, np.zeros(model.shape, np.complex64))
+
+
+def add_signal(model: SignalModel, blocks: Blocks, gain: Complex, out):
+    """Add the paths' signal to ``out`` (model.shape, complex64, contiguous) in place: Khatri-Rao halves and one product per band."""
     for band, modes in zip(model.bands, blocks, strict=True):
         left = (modes[0][:, 0] * gain[:, None]).astype(np.complex64)
         right = modes[1][:, 0].astype(np.complex64)
         for mode in modes[2:]:
             right = (right[:, :, None] * mode[:, None, 0].astype(np.complex64)).reshape(len(gain), -1)
-        np.matmul(left.T, right, out=flat(out, band).reshape(left.shape[1], -1))
+        # out += left^T right in place; BLAS wants column order, that is the transposes.
+        cgemm(1.0, right.T, left, 1.0, out[band.pilots].reshape(left.shape[1], -1).T, overwrite_c=True)
     return out
 
 

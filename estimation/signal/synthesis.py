@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ModelError
-from .algebra import signal_of
+from .algebra import add_signal
 from .model import SignalModel
+from .noise import white_noise
 from .paths import PathTable
 
 
@@ -36,17 +37,8 @@ def synthesize(
         noise_of(model, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
     )
     if len(paths):
-        signal += signal_of(model, model.evaluate(paths.geometry), paths.gain)
+        signal = add_signal(model, model.evaluate(paths.geometry), paths.gain, signal)
     return model.color(signal)
-
-
-def white_noise(
-    shape: tuple[int, ...], variance: float, rng: np.random.Generator
-) -> np.typing.NDArray[np.complex64]:
-    """Circular complex Gaussian noise of the given variance per sample, complex64."""
-    parts = rng.standard_normal((*shape[:-1], 2 * shape[-1]), dtype=np.float32)
-    parts *= np.float32(np.sqrt(variance / 2))
-    return parts.view(np.complex64)
 
 
 def noise_of(
