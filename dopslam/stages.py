@@ -23,21 +23,26 @@ def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
 
 def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet) -> None:
     """Start a dataset: track, landmarks, paths and floor plan of a traced scenario."""
+    _check_new(path)
     traced = pipeline.trace(scenario, seed, progress)
     records = {"track": traced.track, "landmarks": traced.landmarks, "paths": traced.paths, "plan": traced.plan}
-    _start(path, records, scenario, seed)
+    dataset.write_records(path, records, scenario.to_toml(), seed)
 
 
 def simulate(path: Path, scenario: Scenario, seed: int) -> None:
     """Start a dataset without a tracer: track, landmarks and detections drawn from the measurement model."""
+    _check_new(path)
     track, landmarks, detections = pipeline.simulate(scenario, seed)
-    _start(path, {"track": track, "landmarks": landmarks, "detections": detections}, scenario, seed)
+    records = {"track": track, "landmarks": landmarks, "detections": detections}
+    dataset.write_records(path, records, scenario.to_toml(), seed)
 
 
-def _start(path: Path, records: dict, scenario: Scenario, seed: int) -> None:
+def _check_new(path: Path) -> None:
+    """Refuse before the work what could not be written after it."""
     if Path(path).exists():
         raise DatasetError(f"{path}: exists already; remove it or name another file with --out")
-    dataset.write_records(path, records, scenario.to_toml(), seed)
+    if not Path(path).resolve().parent.is_dir():
+        raise DatasetError(f"{path}: the folder {str(Path(path).parent)!r} does not exist; create it first")
 
 
 def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:

@@ -102,4 +102,4 @@ def test_a_failed_run_leaves_no_folder(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stages, "slam", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 2
-    assert list((tmp_path / "runs").iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

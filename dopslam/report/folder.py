@@ -36,6 +36,7 @@ def results_folder(root: str | Path, name: str) -> Iterator[tuple[Path, Path]]:
         If the folder cannot be made.
     """
     root = Path(root)
+    made = not root.exists()
     final = root / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
     suffix = 0
     while final.exists():
@@ -51,6 +52,9 @@ def results_folder(root: str | Path, name: str) -> Iterator[tuple[Path, Path]]:
         os.replace(working, final)
     finally:
         shutil.rmtree(working, ignore_errors=True)
+        if made:
+            with contextlib.suppress(OSError):  # not empty after a run that went well
+                root.rmdir()
     _link_latest(root, final)
 
 
