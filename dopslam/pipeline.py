@@ -76,6 +76,23 @@ def draw_track(scenario: Scenario, seed: int) -> Track:
     )
 
 
+def tracing_inputs(scenario: Scenario, seed: int):
+    """What the tracer needs of a scenario: scene source, scatter points with drawn phases, settings."""
+    from dopslam import raytracing
+
+    source = raytracing.SceneSource(scenario.scene_file or scenario.scene.builtin, scenario.scene.materials)
+    points = raytracing.ScatterPoints(
+        names=tuple(p.name for p in scenario.scatter_point),
+        positions=np.array([p.position for p in scenario.scatter_point]).reshape(-1, 3),
+        rcs=np.array([p.rcs for p in scenario.scatter_point]),
+        phases=generator(seed, Component.SCATTER).uniform(0, 2 * np.pi, len(scenario.scatter_point)),
+    )
+    settings = raytracing.TraceSettings(
+        max_depth=scenario.trace.max_depth, samples=scenario.trace.samples, seed=scenario.trace.seed
+    )
+    return source, points, settings
+
+
 def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
     """Drive the track through the scene and trace every path of every step.
 
@@ -88,16 +105,7 @@ def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
 
     track = draw_track(scenario, seed)
     carrier = scenario.radio.carrier_frequency
-    source = raytracing.SceneSource(scenario.scene_file or scenario.scene.builtin, scenario.scene.materials)
-    points = raytracing.ScatterPoints(
-        names=tuple(p.name for p in scenario.scatter_point),
-        positions=np.array([p.position for p in scenario.scatter_point]).reshape(-1, 3),
-        rcs=np.array([p.rcs for p in scenario.scatter_point]),
-        phases=generator(seed, Component.SCATTER).uniform(0, 2 * np.pi, len(scenario.scatter_point)),
-    )
-    settings = raytracing.TraceSettings(
-        max_depth=scenario.trace.max_depth, samples=scenario.trace.samples, seed=scenario.trace.seed
-    )
+    source, points, settings = tracing_inputs(scenario, seed)
     progress("trace", 0, track.steps)
     loaded = raytracing.load_scene(source, carrier)
     landmarks, paths = raytracing.trace(

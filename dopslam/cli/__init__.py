@@ -20,6 +20,8 @@ VERBS = {
     "bound": "Posterior Cramér–Rao bounds of a scenario or of a dataset file.",
     "evaluate": "Compare track and map with the truth and the bound: table, summary, figures.",
     "montecarlo": "Many runs of a filter in parallel, beside their bounds.",
+    "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
+    "check": "Validate a dataset folder or file and say what is wrong where.",
     "scenes": "List the scenes that ship.",
     "info": "Say what a dataset file holds.",
     "doctor": "Say what the ray tracer found here: LLVM, GPU, threads, versions.",

@@ -134,6 +134,12 @@ class Tracer:
         )
         self._radar = rcs.RCSSolver(deterministic=True)
 
+    @property
+    def receivers_per_call(self) -> int:
+        """Receivers that one call of the tracer takes at most, so that memory stays bounded."""
+        pairs = max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2)
+        return min(self.settings.receivers_per_call, pairs)
+
     def chunks(self, receivers: np.ndarray, velocities: np.ndarray | None = None) -> Iterator[Traced]:
         """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk by chunk; memory does not grow.
 
@@ -151,9 +157,7 @@ class Tracer:
             raise SceneError("no receiver positions to trace; give at least one")
         check_positions(self.surfaces, {"the receiver at step": receivers, **self._fixed})
         # Equal chunks: another number of receivers would compile another kernel.
-        limit = min(
-            self.settings.receivers_per_call, max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2)
-        )
+        limit = self.receivers_per_call
         size = -(-count // -(-count // limit))
         for start in range(0, count, size):
             rows = slice(start, min(start + size, count))
