@@ -111,6 +111,29 @@ class AmplitudeModel:
         return np.where(tail, rng.uniform(self.threshold, self.tail_end, size), z)
 
 
+@dataclass(frozen=True, slots=True)
+class ConstantDetection:
+    """Detections without usable amplitudes: one detection probability, amplitude densities all 1."""
+
+    probability: float = 0.9
+
+    def __post_init__(self):
+        if not 0 < self.probability <= LARGEST_DETECTION_PROBABILITY:
+            raise FilterError(f"ConstantDetection: probability must be in (0, 0.99], got {self.probability}")
+
+    def variance(self, u):
+        """1, unused."""
+        return np.ones_like(u)
+
+    def missed_probability(self, u):
+        """1 − p_d."""
+        return np.full(np.shape(u), 1 - self.probability)
+
+    def log_false_alarm(self, z):
+        """0."""
+        return np.zeros(np.shape(z))
+
+
 @lru_cache(maxsize=32)
 def _missed_table(threshold: float, samples: float) -> tuple[np.ndarray, np.ndarray]:
     """Grid over u and 1 − p_d(u) on it, floored so that p_d ≤ 0.99; constant beyond the grid."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import i0e
 
-from dopslam.models.amplitude import AmplitudeModel
+from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
 _WEIGHTS = _WEIGHTS / np.sqrt(2 * np.pi)
@@ -41,7 +41,7 @@ def kernel_jitter(rng: np.random.Generator, coordinates: np.ndarray, width: floa
     return mean + np.sqrt(1 - width**2) * centered + width * noise
 
 
-def amplitude_messages(model: AmplitudeModel, mean: np.ndarray, variance: np.ndarray, z: np.ndarray):
+def amplitude_messages(model: AmplitudeModel | ConstantDetection, mean: np.ndarray, variance: np.ndarray, z: np.ndarray):
     """Amplitude evidence and posterior of Gaussian amplitudes u_k ~ N(mean, variance).
 
     Gauss–Hermite nodes sit on the product of prior and likelihood, so a wide prior after a blockage costs nothing.
@@ -52,6 +52,11 @@ def amplitude_messages(model: AmplitudeModel, mean: np.ndarray, variance: np.nda
     post_mean, post_variance (K, M) : given that measurement m is the feature's
     log_missed (K,), missed_mean, missed_variance (K,) : the same for a missed detection, 1 − p_d(u)
     """
+    if isinstance(model, ConstantDetection):
+        shape, same = (len(mean), len(z)), np.ones(len(mean))
+        missed = np.log(model.missed_probability(mean))
+        log_detected = np.full(shape, np.log(model.probability))
+        return log_detected, np.ones(shape), np.ones(shape), missed, same, same
     mean, variance = mean[:, None], variance[:, None]
     noise = model.variance(z)[None, :]
     precision = 1 / variance + 1 / noise

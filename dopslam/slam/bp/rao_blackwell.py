@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dopslam.models.measurement import wrap
 from dopslam.slam.bp import kernels
 from dopslam.slam.bp.belief import amplitude_messages, effective_size, kernel_jitter, normalized, systematic
 from dopslam.slam.bp.births import births, order_for
@@ -419,6 +420,9 @@ def estimate_of(
     position = weight @ agent[:, POSITION]
     centered = agent[:, POSITION] - position
     phasor = weight @ np.exp(1j * agent[:, HEADING])
+    heading = float(np.angle(phasor))
+    bias = float(weight @ agent[:, BIAS])
+    offset = np.column_stack([centered[:, :2], wrap(agent[:, HEADING] - heading), agent[:, BIAS] - bias])
     declared = features.select(features.existence > parameters.detection_threshold)
     belief = declared.weight / declared.existence[:, None]
     best = belief.argmax(axis=1)
@@ -427,9 +431,10 @@ def estimate_of(
         position=position,
         covariance=(weight[:, None] * centered).T @ centered,
         velocity=weight @ agent[:, VELOCITY],
-        heading=float(np.angle(phasor)),
+        heading=heading,
         heading_deviation=float(np.sqrt(max(-2 * np.log(min(abs(phasor), 1.0)), 0.0))),
-        bias=float(weight @ agent[:, BIAS]),
+        bias=bias,
+        state_covariance=(weight[:, None] * offset).T @ offset,
         label=declared.label,
         existence=declared.existence,
         type_belief=belief,

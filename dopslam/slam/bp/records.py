@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 
 from dopslam.errors import FilterError
-from dopslam.models.amplitude import AmplitudeModel
+from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
 
 
 class Form(IntEnum):
@@ -109,7 +109,7 @@ class Parameters:
     """
 
     anchor: np.ndarray
-    amplitude: AmplitudeModel
+    amplitude: AmplitudeModel | ConstantDetection
     types: tuple[Form, ...] = PAPER
     type_prior: tuple[float, ...] | None = None
     type_switch: float = 0.01
@@ -224,6 +224,7 @@ class Estimate:
     position : (3,) m, covariance : (3, 3) m², velocity : (3,) m/s
     heading : rad, circular mean; heading_deviation : rad
     bias : m
+    state_covariance : (4, 4) of [x m, y m, heading rad, bias m]
     label, existence : (D,) of the declared features
     type_belief : (D, T) type probabilities given existence
     feature : (D, 3) m, position under the likeliest type; feature_covariance : (D, 3, 3)
@@ -236,6 +237,7 @@ class Estimate:
     heading: float
     heading_deviation: float
     bias: float
+    state_covariance: np.ndarray
     label: np.ndarray
     existence: np.ndarray
     type_belief: np.ndarray
