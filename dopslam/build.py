@@ -1,4 +1,4 @@
-"""From a scenario to the parameter records of motion, simulation and filters: the one place where config keys meet them."""
+"""From a scenario to the parameter records of motion, simulation and filters, in one place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def motion(scenario: Scenario) -> CoordinatedTurn:
 def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
     """Mean (4,) and covariance (4, 4) of the receiver's initial knowledge.
 
-    ``reading`` takes ``track.start_std`` as standard deviations (``"std"``) or, the literal reading of paper A's Section V, as
+    ``reading`` takes ``track.start_std`` as standard deviations (``"std"``) or, paper A's Section V to the letter, as
     variances (``"var"``).
     """
     spread = np.array(scenario.track.start_std)
@@ -30,7 +30,7 @@ def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
 
 
 def model_landmarks(scenario: Scenario) -> Landmarks:
-    """The landmarks that the model source draws detections from: the BS, the listed virtual anchors, the scatter points."""
+    """Landmarks that the model source draws detections from: the BS, the listed VAs, the scatter points."""
     anchors, points = scenario.source.model.virtual_anchors, scenario.scatter_point
     return Landmarks(
         name=np.array(["BS", *(f"VA{i}" for i in range(len(anchors))), *(f"SP {p.name}" for p in points)]),

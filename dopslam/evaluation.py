@@ -28,7 +28,7 @@ class Evaluation:
     peb : (K,) m; heb : (K,) rad; ceb : (K,) m; posterior Cramér–Rao bounds of the same run
     nees : (K,) normalized squared error of the state, 4 expected
     gospa_va, gospa_sp : (K,) m
-    found : (L,) m, distance of every true landmark to its estimate of the same kind at the last step, inf if there is none
+    found : (L,) m, distance of every true landmark to its estimate at the last step, inf if there is none
     """
 
     position_error: np.ndarray
@@ -57,7 +57,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landmark: np.ndarray) -> np.ndarray:
-    """Which landmark each detection stems from, by the truth: one-to-one within a step, nearest in Mahalanobis distance.
+    """Which landmark each detection stems from, by the truth: one-to-one within a step, nearest by Mahalanobis.
 
     Only the bound and the evaluation know it; no filter does.
 
@@ -88,7 +88,8 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
 
 
 def landmark_errors(landmarks: Landmarks, history: History, threshold: float) -> np.ndarray:
-    """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if missed."""
+    """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if
+    missed."""
     found = np.full(len(landmarks), np.inf)
     found[landmarks.kind == Kind.BS] = 0.0
     for kind in (Kind.VA, Kind.SP):

@@ -1,6 +1,9 @@
-"""Detections against traced paths: what the estimator found, missed and invented. Evaluation only; no filter sees this."""
+"""Detections against traced paths: what the estimator found, missed and invented. Evaluation only; no filter sees
+this."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,12 +52,13 @@ def true_landmarks(matches: list[Match], paths: Paths, detections: DetectionSeri
 
 
 def figures(matches: list[Match]) -> dict:
-    """Probability of detection by band of true ρ, false paths per snapshot and NEES over its dimension of the detections."""
+    """Probability of detection by band of true ρ, false paths per snapshot and NEES over its dimension of the
+    detections."""
     rho = 10 * np.log10(np.maximum(np.concatenate([m.rho for m in matches]), 1e-12))
     detected = np.concatenate([m.detected for m in matches])
     nees = np.concatenate([m.nees for m in matches])
     bands = {}
-    for low, high in zip(RHO_BANDS_DB[:-1], RHO_BANDS_DB[1:], strict=True):
+    for low, high in pairwise(RHO_BANDS_DB):
         inside = (rho >= low) & (rho < high)
         bands[f"{low}-{high}"] = {"found": int(detected[inside].sum()), "of": int(inside.sum())}
     return {

@@ -1,6 +1,7 @@
 """Where the scenario meets the signal: arrays, waveform, link budget, and traced paths as the estimator's parameters.
 
-The receiver measures geometric delay plus clock bias. Gains are in √W per pilot: ``a·√(P/pilots)·e^{−j2πf_cτ}``; the noise
+The receiver measures geometric delay plus clock bias. Gains are in √W per pilot: ``a·√(P/pilots)·e^{−j2πf_cτ}``; the
+noise
 variance is the thermal noise of one subcarrier, k·T·Δf·F.
 """
 
@@ -74,24 +75,22 @@ def _codebook(scenario: Scenario, elements: int, rng: np.random.Generator) -> np
         return random_phase_beams(beams.beams, elements, rng)
     if beams.beams != elements:
         raise ConfigError(
-            f"radio.beams.beams = {beams.beams}: {beams.kind} beams number as many as the base station's elements, {elements}"
+            f"radio.beams.beams = {beams.beams}: there are as many {beams.kind} beams as elements of the base station, "
+            f"{elements}"
         )
     if beams.kind == "antenna":
         return antenna_switching(elements)
     if not isinstance(array, PlanarArray):
-        raise ConfigError('radio.beams.kind = "dft" needs base_station.array.kind = "planar"; use "random_phase" or "antenna"')
+        raise ConfigError(
+            'radio.beams.kind = "dft" needs base_station.array.kind = "planar"; use "random_phase" or "antenna"'
+        )
     return dft_beams(array.rows, array.columns)
 
 
 def noise_variance(scenario: Scenario) -> float:
     """Thermal noise of one subcarrier at the receiver [W]."""
     traced = scenario.source.traced
-    return (
-        BOLTZMANN
-        * traced.temperature
-        * scenario.radio.subcarrier_spacing
-        * 10 ** (traced.noise_figure_db / 10)
-    )
+    return BOLTZMANN * traced.temperature * scenario.radio.subcarrier_spacing * 10 ** (traced.noise_figure_db / 10)
 
 
 def pilot_amplitude(scenario: Scenario) -> float:

@@ -1,4 +1,5 @@
-"""The stages over one dataset file: each reads the records it needs, adds its own, and can start from anybody's file."""
+"""The stages over one dataset file: each reads the records it needs, adds its own, and can start from anybody's
+file."""
 
 from __future__ import annotations
 
@@ -154,7 +155,9 @@ def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
     main = main if main in variants else next(iter(variants))
     summary = {
         "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
-        **variants[main], "detections": _detection_figures(scenario, track, paths, read_detections(path)), "variants": variants,
+        **variants[main],
+        "detections": _detection_figures(scenario, track, paths, read_detections(path)),
+        "variants": variants,
     }  # fmt: skip
     return summary, evaluations
 

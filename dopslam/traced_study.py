@@ -1,7 +1,9 @@
 """Several traced runs of one scenario, every filter variant on the same detections, with intervals over the runs.
 
-Each seed draws its own track, scatterer phases and noise; it is traced and estimated once, and all variants filter the same
-detections. Twice: with the estimator's own covariances, and with noise of the model source's R (paper A's values) added.
+Each seed draws its own track, scatterer phases and noise; it is traced and estimated once, and all variants filter
+the same
+detections. Twice: with the estimator's own covariances, and with noise of the model source's R (paper A's values)
+added.
 """
 
 from __future__ import annotations
@@ -50,9 +52,7 @@ def summaries(path: Path, noise: str) -> dict:
     bounds = {d: pipeline.bound(scenario, *truth[:3], detections, d) for d in (True, False)}
     return {
         name: summarize(
-            evaluate_run(
-                scenario, *truth[:2], pipeline.slam(scenario, detections, density, doppler), bounds[doppler]
-            ),
+            evaluate_run(scenario, *truth[:2], pipeline.slam(scenario, detections, density, doppler), bounds[doppler]),
             truth[1],
             scenario.evaluation.found_radius,
         )
@@ -73,8 +73,10 @@ def study(scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Prog
     Returns
     -------
     dict
-        ``detections``: pooled figures of the estimator; ``estimator`` and ``paper``: for every filter variant mean and 95 %
-        interval of RMSEs, NEES, GOSPA and ``rmse_over_bound``, and landmarks found; ``doppler_gain``: position RMSE without over
+        ``detections``: pooled figures of the estimator; ``estimator`` and ``paper``: for every filter variant mean
+        and 95 %
+        interval of RMSEs, NEES, GOSPA and ``rmse_over_bound``, and landmarks found; ``doppler_gain``: position RMSE
+        without over
         with Doppler, paired over the runs; ``runs``: every single figure.
     """
     seeds = list(seeds)

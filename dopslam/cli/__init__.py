@@ -29,7 +29,7 @@ VERBS = {
 
 app = App(
     name="dopslam",
-    help="Radio SLAM end to end: trace a scene, synthesize its signal, estimate the channel, run SLAM, compare with bounds.",
+    help="Radio SLAM end to end: trace a scene, synthesize, estimate the channel, run SLAM, compare with bounds.",
     version_flags=["--version"],
     help_format="plaintext",
 )

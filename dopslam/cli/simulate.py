@@ -7,7 +7,9 @@ from pathlib import Path
 from dopslam.cli.common import Settings, overrides
 
 
-def simulate(scene: str, *, out: Path, seed: int = 0, doppler_std: float | None = None, settings: Settings = None) -> None:
+def simulate(
+    scene: str, *, out: Path, seed: int = 0, doppler_std: float | None = None, settings: Settings = None
+) -> None:
     """Draw a track and its detections from the measurement model, without tracing, into a new dataset file.
 
     Parameters

@@ -21,9 +21,7 @@ _CHI2_95_2D = 5.991  # 95 % ellipse of a two-dimensional Gaussian
 
 def house_style():
     """Context manager with the shipped style."""
-    style = mpl.rc_params_from_file(
-        str(files("dopslam.report") / "dopslam.mplstyle"), use_default_template=False
-    )
+    style = mpl.rc_params_from_file(str(files("dopslam.report") / "dopslam.mplstyle"), use_default_template=False)
     return mpl.rc_context(style)
 
 
@@ -117,7 +115,9 @@ def errors_over_time(evaluation) -> Figure:
     axes = figure.subplots(len(panels), 1, sharex=True)
     steps = np.arange(1, len(evaluation.position_error) + 1)
     for ax, (name, error, bound, bound_name) in zip(axes, panels, strict=True):
-        ax.semilogy(steps, np.maximum(np.abs(error), 1e-6), ".-", color=ESTIMATE, linewidth=1, label="error of this run")
+        ax.semilogy(
+            steps, np.maximum(np.abs(error), 1e-6), ".-", color=ESTIMATE, linewidth=1, label="error of this run"
+        )
         ax.semilogy(steps, bound, color=BOUND, label=f"{bound_name} (standard deviation)")
         ax.set_ylabel(name)
         ax.legend(loc="upper right", ncols=2)
@@ -149,11 +149,19 @@ def detections_over_paths(track: Track, landmarks: Landmarks, paths: Paths, dete
     delay = paths.tau * SPEED_OF_LIGHT + track.bias[step_of_path]
     azimuth = np.degrees(_wrap(paths.phi_r - track.heading[step_of_path]))
     kinds = landmarks.kind[paths.landmark]
-    for kind, color, name in ((Kind.BS, TRUE, "line of sight"), (Kind.VA, VA, "reflections"), (Kind.SP, SP, "scatter points")):
+    for kind, color, name in (
+        (Kind.BS, TRUE, "line of sight"),
+        (Kind.VA, VA, "reflections"),
+        (Kind.SP, SP, "scatter points"),
+    ):
         chosen = kinds == kind
-        upper.plot(step_of_path[chosen] + 1, delay[chosen], "o", mfc="none", mec=color, markersize=7, label=f"true: {name}")
+        upper.plot(
+            step_of_path[chosen] + 1, delay[chosen], "o", mfc="none", mec=color, markersize=7, label=f"true: {name}"
+        )
         lower.plot(step_of_path[chosen] + 1, azimuth[chosen], "o", mfc="none", mec=color, markersize=7)
-    upper.plot(step_of_detection + 1, detections.delay * SPEED_OF_LIGHT, "x", color=ESTIMATE, markersize=4, label="detected")
+    upper.plot(
+        step_of_detection + 1, detections.delay * SPEED_OF_LIGHT, "x", color=ESTIMATE, markersize=4, label="detected"
+    )
     lower.plot(step_of_detection + 1, np.degrees(detections.aoa[:, 0]), "x", color=ESTIMATE, markersize=4)
     upper.set(ylabel="delay · c + clock bias [m]", title="Detections over true paths")
     lower.set(ylabel="arrival azimuth [°]", xlabel="step")

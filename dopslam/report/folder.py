@@ -46,7 +46,9 @@ def results_folder(root: str | Path, name: str) -> Iterator[tuple[Path, Path]]:
     try:
         working.mkdir(parents=True)
     except OSError as error:
-        raise DatasetError(f"{root}: cannot make a results folder ({error.strerror}); name another with --runs") from error
+        raise DatasetError(
+            f"{root}: cannot make a results folder ({error.strerror}); name another with --runs"
+        ) from error
     try:
         yield working, final
         os.replace(working, final)

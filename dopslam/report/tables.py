@@ -16,7 +16,9 @@ def run_table(summary: dict) -> Table:
     summary : the content of ``summary.json``; its ``variants`` map a name to figures
     """
     variants = summary["variants"]
-    table = Table(title=f"{summary['scenario']}, seed {summary['seed']}", title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        title=f"{summary['scenario']}, seed {summary['seed']}", title_justify="left", box=None, pad_edge=False
+    )
     table.add_column("")
     for name in variants:
         table.add_column(name.replace(", ", "\n"), justify="right")
@@ -24,7 +26,8 @@ def run_table(summary: dict) -> Table:
         table.add_row(label, *(text(v) for v in variants.values()))
     table.caption = (
         "RMSE: root mean square over the steps; in brackets its ratio to the bound's (PEB, HEB, CEB).\n"
-        f"GOSPA, and landmarks found within {summary['found_within_m']:g} m, at the last step. VA: virtual anchor, SP: scatter point."
+        f"GOSPA, and landmarks found within {summary['found_within_m']:g} m, at the last step.\n"
+        "VA: virtual anchor, SP: scatter point."
     )
     table.caption_justify = "left"
     return table
@@ -74,7 +77,8 @@ def study_text(result: dict) -> str:
                 continue
             within = v["landmarks_within_1_m"]
             lines.append(
-                f"| {name} | {_with_interval(v['position_rmse_m'], 4)} | {_with_interval(v['rmse_over_bound']['position'], 2)} | "
+                f"| {name} | {_with_interval(v['position_rmse_m'], 4)} | "
+                f"{_with_interval(v['rmse_over_bound']['position'], 2)} | "
                 f"{v['heading_rmse_deg']['mean']:.4f} | {v['clock_bias_rmse_m']['mean']:.4f} | "
                 f"{_with_interval(v['nees'], 1)} | {v['gospa_va_m']['mean']:.2f} / {v['gospa_sp_m']['mean']:.2f} | "
                 f"{within['found']} of {within['of']} |"
