@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import os
 import shutil
 import tempfile
@@ -27,13 +28,18 @@ from dopslam.schema import UNITS, annotate, is_scale
 SCHEMA = "dopslam"
 SCHEMA_VERSION = 1
 _LIBVER = ("v110", "v110")  # checksummed metadata: a damaged file is noticed, not misread
+IN_MEMORY = 512_000_000  # bytes, up to which a file is built in memory
 
 Record = TypeVar("Record")
 
 
 @contextlib.contextmanager
-def _replacing(path: Path) -> Iterator[h5py.File]:
-    """Open a copy of ``path`` (or a new file) for writing and move it into place when all went well."""
+def _replacing(path: Path, extra: int = 0) -> Iterator[h5py.File]:
+    """Open a copy of ``path`` (or a new file) for writing and move it into place when all went well.
+
+    HDF5 cannot close a file cleanly once a write to the disk has failed. Files are therefore built in memory and written as
+    bytes; only beyond ``IN_MEMORY`` (``extra`` bytes are to come) on the disk, after making sure that there is room.
+    """
     path = Path(path)
     if not path.parent.is_dir():
         raise DatasetError(f"{path}: the folder {str(path.parent)!r} does not exist; create it first")
@@ -44,18 +50,29 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
         raise DatasetError(f"{path}: cannot write in {str(path.parent)!r} ({error.strerror})") from error
     part = Path(name)
     try:
+        size = extra
         if path.exists():
             _check_schema_of(path)
+            size += path.stat().st_size
+            _check_room(path, size)
             shutil.copyfile(path, part)
             mode = "r+"
         else:
+            _check_room(path, size)
             mode = "w"
-        with h5py.File(part, mode, libver=_LIBVER) as file:
+        memory = size <= IN_MEMORY
+        driver: dict[str, Any] = {"driver": "core", "backing_store": False, "block_size": 1 << 20} if memory else {}
+        with h5py.File(part, mode, libver=_LIBVER, **driver) as file:
             if mode == "w":
                 file.attrs["schema"] = SCHEMA
                 file.attrs["schema_version"] = SCHEMA_VERSION
             yield file
-        with open(part, "rb+") as raw:
+            file.flush()
+            image = file.id.get_file_image() if memory else None
+        with open(part, "rb+" if image is None else "wb") as raw:
+            if image is not None:
+                raw.write(image)
+                raw.flush()
             os.fsync(raw.fileno())
         os.chmod(part, 0o644)
         os.replace(part, path)
@@ -63,6 +80,12 @@ def _replacing(path: Path) -> Iterator[h5py.File]:
         raise DatasetError(f"{path}: writing failed ({error}); the file is as it was") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def _check_room(path: Path, size: int) -> None:
+    free = shutil.disk_usage(path.parent).free
+    if size > free:
+        raise DatasetError(f"{path}: needs {size / 1e6:.0f} MB and {free / 1e6:.0f} MB are free; make room first")
 
 
 def _check_schema_of(path: Path) -> None:
@@ -146,7 +169,8 @@ def write_records(
     path, records: dict[str, Any], scenario_toml: str | None = None, seed: int | None = None, attributes: dict | None = None
 ) -> None:
     """Add or replace several records at once, and attributes of the root; see :func:`write_record`."""
-    with _replacing(Path(path)) as file:
+    extra = sum(column.nbytes for record in records.values() for column in _split(record)[0].values())
+    with _replacing(Path(path), extra) as file:
         if scenario_toml is not None:
             file.attrs["scenario"] = scenario_toml
         if seed is not None:
@@ -232,12 +256,15 @@ def groups(path: str | Path) -> list[str]:
 
 def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) -> None:
     """Stream the received signal into a dataset: ``signal/y`` (steps, …) complex64, one snapshot a chunk."""
-    with _replacing(Path(path)) as file:
+    snapshots = iter(snapshots)
+    first = next(snapshots, None)
+    extra = 0 if first is None else first.size * 8 * steps
+    with _replacing(Path(path), extra) as file:
         if "signal" in file:
             del file["signal"]
         node = file.create_group("signal")
         dataset, digest = None, hashlib.sha256()
-        for step, y in enumerate(snapshots):
+        for step, y in enumerate(itertools.chain([] if first is None else [first], snapshots)):
             if dataset is None:
                 dataset = node.create_dataset(
                     "y", (steps, *y.shape), np.complex64, chunks=(1, *y.shape), fletcher32=True

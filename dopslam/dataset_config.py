@@ -68,4 +68,4 @@ class DatasetConfig(_Frozen):
     tracks: TracksConfig = MotionTracks()
     steps: Count | None = None  # of one drive; None: track.steps
     shard_positions: Annotated[int, Field(ge=1, le=100_000)] = 2000  # most positions of one shard
-    shard_megabytes: Positive = 1000.0  # most of a shard's signal, where it is stored
+    shard_megabytes: Positive = 256.0  # most of a shard's signal, where it is stored

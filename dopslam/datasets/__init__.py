@@ -7,8 +7,8 @@ Every shard depends on the scenario, the seed and its own number only. Neither h
 they are the same for any number of processes and workers, any order, and after any interruption.
 """
 
-from dopslam.datasets.check import Finding, check
-from dopslam.datasets.generate import generate
+from dopslam.datasets.checks import Finding, check
+from dopslam.datasets.maker import generate
 from dopslam.datasets.manifest import Manifest, read_manifest
 from dopslam.datasets.plan import Plan, make_plan
 
