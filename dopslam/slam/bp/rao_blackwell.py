@@ -26,6 +26,9 @@ from dopslam.slam.loopy import Association, loopy_association
 _LOG_ZERO = -700.0
 _STAGES = 60  # annealing stages per step at most
 _BLIND = 0.01  # below this share of effective particles the noise is widened first
+_SIGHTED = 0.9  # association probability from which the line of sight must be explained by the particles
+_WIDEST = 1e-6  # smallest noise precision of the annealing, relative
+_STRIDE = np.log(8.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,7 @@ class RaoBlackwell:
         )
         rows = _rows(self, features, amplitudes, association, scan, log_false_alarm)
         agent, log_weight, log_rows, log_owner, stages = self._update_agent(
-            rng, agent, state.log_weight, rows, weight, scan
+            rng, agent, state.log_weight, rows, weight, 1 - association.marginal[0, 0], scan
         )
         features, sight = self._update_features(
             agent, log_weight, log_rows, log_owner, rows, weight, features, amplitudes, scan
@@ -156,7 +159,7 @@ class RaoBlackwell:
             scan.distance, scan.aoa, scan.aod, whitener, temper,
         )  # fmt: skip
 
-    def _update_agent(self, rng, agent, log_weight, rows, weight, scan):
+    def _update_agent(self, rng, agent, log_weight, rows, weight, sighted, scan):
         """Weights w_i ∏_k γ_k(i), γ_k = Σ_t W_kt λ_kt + 1 − Σ_t W_kt; annealed if too few particles remain (g2)."""
         whitener = np.linalg.inv(np.linalg.cholesky(scan.covariance))
 
@@ -165,23 +168,39 @@ class RaoBlackwell:
             log_owner = _owner_messages(log_rows, weight, len(self.parameters.types))
             return log_rows, log_owner
 
+        size = len(agent)
+
+        def effective(logs):
+            return effective_size(normalized(logs)) / size
+
+        def lost(log_weights, log_rows):
+            """Whether few particles are in sight of the optimum, or none where the line of sight is associated."""
+            if effective(log_weights) < _BLIND:
+                return True
+            none = np.log(max(1 / max(weight[0, 0], 1e-12) - 1, 1e-300))  # no line of sight, relative to it
+            unseen = np.logaddexp(rows.log_missed[0], none) - np.logaddexp(log_rows[0], none)
+            missed = normalized(log_weights) @ np.exp(np.minimum(unseen, 0.0))
+            return sighted > _SIGHTED and missed > 0.5
+
         log_rows, log_owner = messages(agent, 1.0)
         total = log_owner.sum(axis=0)
-        size = len(agent)
-        if effective_size(normalized(log_weight + total)) >= self.effective_floor * size:
-            return agent, log_weight + total, log_rows, log_owner, 0
         stages = 0
-        # Few particles in sight of the optimum: widen the noise, whose gradient reaches far (from wide to true).
+        # Widen the noise, whose gradient reaches far, and anneal it to its true width. A likelihood too sharp for the
+        # particles leaves them all with the weight of a missed detection: many effective ones, and all of them wrong.
         temper, reached = 0.0, np.zeros(size)
-        while effective_size(normalized(log_weight + total - reached)) < _BLIND * size and stages < _STAGES:
+        while temper < 1.0 and stages < _STAGES and lost(log_weight + total - reached, log_rows):
             stages += 1
-            low, high = np.log(max(temper, 1e-8)), 0.0
-            for _ in range(10):
+            low = high = np.log(max(temper, _WIDEST))
+            while high < 0.0:  # from wide to sharp: the effective size falls and, past the particles' reach, rises
+                high = min(high + _STRIDE, 0.0)
+                wide = messages(agent, np.exp(high))[1].sum(axis=0)
+                if effective(log_weight + wide - reached) < self.effective_target:
+                    break
+                low = high
+            for _ in range(5 if high > low else 0):
                 middle = 0.5 * (low + high)
                 wide = messages(agent, np.exp(middle))[1].sum(axis=0)
-                enough = (
-                    effective_size(normalized(log_weight + wide - reached)) >= self.effective_target * size
-                )
+                enough = effective(log_weight + wide - reached) >= self.effective_target
                 low, high = (middle, high) if enough else (low, middle)
             temper = float(np.exp(high))
             wide = messages(agent, temper)[1].sum(axis=0)
