@@ -10,6 +10,7 @@ from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import DetectionSeries, Kind, Landmarks
 from dopslam.simulate import FixedNoise, Situation
+from dopslam.slam.bp.adapter import Setup, turning
 from dopslam.slam.ek_pmb import FilterParameters
 
 
@@ -80,6 +81,21 @@ def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
         return SnrDetection(threshold)
     model = scenario.source.model
     return ConstantDetection(model.detection_probability, model.sp_range)
+
+
+def belief_setup(scenario: Scenario) -> Setup:
+    """What belief propagation is told: the same as the other filters."""
+    track = scenario.track
+    mean, covariance = prior(scenario)
+    return Setup(
+        anchor=np.array(scenario.base_station.position),
+        height=scenario.receiver.height,
+        mean=mean,
+        covariance=covariance,
+        motion=turning(track.period, track.turn_rate, np.array(track.process_std)),
+        speed=track.speed,
+        yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
+    )
 
 
 def filter_parameters(

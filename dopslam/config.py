@@ -185,7 +185,8 @@ class Estimator(_Frozen):
 class Filter(_Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
-    density: Literal["joint", "marginal"] = "joint"
+    density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B, without Doppler
+    particles: Count = 1000  # of belief propagation
     associations: Count = 10  # γ best data associations per step
     iterations: Count = 3  # of the update; 1 is the plain EKF
     survival: Annotated[float, Field(gt=0, le=1)] = 1.0

@@ -291,19 +291,28 @@ def blur(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detectio
     )
 
 
-def slam(scenario: Scenario, detections: DetectionSeries, density: str | None = None, doppler: bool = True) -> History:
+def slam(
+    scenario: Scenario, detections: DetectionSeries, density: str | None = None, doppler: bool = True, seed: int = 0
+) -> History:
     """Track and map from detections; the filter knows the BS, speed, turn rate, and its initial mean and covariance.
 
     Parameters
     ----------
-    density : ``"joint"`` or ``"marginal"``; default the scenario's
-    doppler : whether the Doppler row is used
+    density : ``"joint"``, ``"marginal"`` or ``"bp"`` (paper B); default the scenario's
+    doppler : whether the Doppler row is used; belief propagation never does
+    seed : of the particles of belief propagation
 
     Raises
     ------
     FilterError
         If the detections cannot be filtered.
     """
+    if (density or scenario.filter.density) == "bp":
+        from dopslam.slam.bp import adapter
+
+        return adapter.slam(
+            detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed
+        )
     detection = build.detection_model(scenario, detections.threshold)
     history, _ = ek_pmb.run(
         build.scans(scenario, detections),

@@ -87,6 +87,7 @@ VARIANTS = {
     "joint, no Doppler": ("joint", False),
     "marginal": ("marginal", True),
     "marginal, no Doppler": ("marginal", False),
+    "bp, no Doppler": ("bp", False),
 }
 
 
@@ -109,8 +110,10 @@ def slam(path: Path, settings=(), density: str | None = None, doppler: bool = Tr
     """Add the history of one filter variant; returns its name."""
     scenario, seed = scenario_of(path, settings)
     detections = blurred(scenario, read_detections(path), seed)
-    history = pipeline.slam(scenario, detections, density, doppler)
-    name = variant_name(density or scenario.filter.density, doppler)
+    density = density or scenario.filter.density
+    doppler = doppler and density != "bp"  # paper B's measurements have none
+    history = pipeline.slam(scenario, detections, density, doppler, seed)
+    name = variant_name(density, doppler)
     dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
     return name
 
@@ -151,7 +154,7 @@ def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
         evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds)
     radius = scenario.evaluation.found_radius
     variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
-    main = variant_name(scenario.filter.density, True)
+    main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
     main = main if main in variants else next(iter(variants))
     summary = {
         "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,

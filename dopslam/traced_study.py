@@ -19,6 +19,7 @@ from dopslam.evaluation import evaluate_run, summarize
 from dopslam.pipeline import Progress, quiet
 
 NOISES = {"estimator": "none", "paper": "model"}
+VARIANTS = {name: variant for name, variant in stages.VARIANTS.items() if variant[0] != "bp"}
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "gospa_va_m", "gospa_sp_m")
 
 
@@ -56,7 +57,7 @@ def summaries(path: Path, noise: str) -> dict:
             truth[1],
             scenario.evaluation.found_radius,
         )
-        for name, (density, doppler) in stages.VARIANTS.items()
+        for name, (density, doppler) in VARIANTS.items()
     }
 
 
@@ -88,7 +89,7 @@ def study(scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Prog
     result: dict = {"scenario": scenario.name, "seeds": seeds, "detections": matching.figures(matches)}
     for noise in NOISES:
         runs = [summaries(path, noise) for path in paths]
-        result[noise] = {name: _pooled([run[name] for run in runs]) for name in stages.VARIANTS}
+        result[noise] = {name: _pooled([run[name] for run in runs]) for name in VARIANTS}
         result[noise]["doppler_gain"] = {
             density: mean_interval([
                 run[f"{density}, no Doppler"]["position_rmse_m"] / run[density]["position_rmse_m"] for run in runs

@@ -16,7 +16,7 @@ def run(
     *,
     seed: int = 0,
     source: Literal["traced", "model"] | None = None,
-    density: Annotated[Literal["joint", "marginal"] | None, Parameter(name="--filter")] = None,
+    density: Annotated[Literal["joint", "marginal", "bp"] | None, Parameter(name="--filter")] = None,
     doppler_std: str | None = None,
     jobs: int | None = None,
     runs: Path = Path("runs"),
@@ -81,7 +81,7 @@ def run(
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
         for variant, doppler in stages.VARIANTS.values():
-            if used or not doppler:
+            if (used or not doppler) and variant in ("joint", "marginal", scenario.filter.density):
                 timed("slam", stages.slam, data, (), variant, doppler)
         for doppler in (True, False) if used else (False,):
             timed("bound", stages.bound, data, (), doppler)
