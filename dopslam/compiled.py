@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -20,3 +21,39 @@ def compiled(function: Callable[..., Any]) -> Any:
     except RuntimeError:  # "cannot cache function ...: no locator available for file"
         return numba.njit(error_model="numpy")(function)
     return dispatcher
+
+
+# Assigning a whole array inside a kernel pulls numba's broadcasting and its error texts into the machine code, some ten
+# seconds of compilation; these loops do not.
+
+
+@compiled
+def clear(matrix):
+    """Set a matrix to zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0
+
+
+@compiled
+def copy_vector(source, target):
+    """target[: len(source)] = source."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@compiled
+def copy_matrix(source, target):
+    """Copy into the upper left corner of `target`."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@compiled
+def take(source, index):
+    """source[index]."""
+    result = np.empty(index.shape[0], dtype=source.dtype)
+    for i in range(index.shape[0]):
+        result[i] = source[index[i]]
+    return result

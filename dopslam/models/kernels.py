@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compiled import clear, compiled
 
 BS, VA, SP = 0, 1, 2
 POLE = 0.02  # cos(elevation) below which an azimuth is not used: it is undefined at the pole
@@ -124,8 +124,8 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
     """
     n = state.shape[0]
     rows = z.shape[0]
-    by_state[:, :] = 0.0
-    by_landmark[:, :] = 0.0
+    clear(by_state)
+    clear(by_landmark)
     gradient = np.empty((2, 3))
     rx = landmark[0] - state[0]
     ry = landmark[1] - state[1]
@@ -212,7 +212,7 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
         if n == 6:
             by_state[5, 4] = cosine * qx + sine * qy
     if kind == BS:
-        by_landmark[:, :] = 0.0
+        clear(by_landmark)
     return valid
 
 
@@ -236,7 +236,7 @@ def propagate_state(state, interval, speed, rate, jacobian):
     result[0] += chord * cosine
     result[1] += chord * sine
     result[2] += rate * interval
-    jacobian[:, :] = 0.0
+    clear(jacobian)
     for i in range(n):
         jacobian[i, i] = 1.0
     jacobian[0, 2] = -chord * sine

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, copy_matrix, copy_vector
 
 
 @compiled
@@ -121,7 +121,7 @@ def k_best(cost, k, slack):
         for j in range(columns):
             reduced[i, j] = cost[i, j] - u[i] - v[j]
     candidate_total[0] = best
-    candidate[0] = column_of
+    copy_vector(column_of, candidate[0])
     found = 0
     work = np.empty((rows, columns))
     while found < k:
@@ -129,7 +129,7 @@ def k_best(cost, k, slack):
         if candidate_total[top] == np.inf or candidate_total[top] > best + slack:
             break
         totals[found] = candidate_total[top]
-        solutions[found] = candidate[top]
+        copy_vector(candidate[top], solutions[found])
         found += 1
         if found == k:
             break
@@ -156,10 +156,10 @@ def k_best(cost, k, slack):
                     sub_total, sub, _, _ = assign(work[branch:])
                     if base + sub_total < limit:
                         candidate_total[slot] = base + sub_total
-                        candidate[slot, :branch] = parent[:branch]
-                        candidate[slot, branch:] = sub
+                        copy_vector(parent[:branch], candidate[slot])
+                        copy_vector(sub, candidate[slot, branch:])
                         prefix[slot] = branch
-                        forbidden[slot] = banned
+                        copy_matrix(banned, forbidden[slot])
                         forbidden[slot, branch, parent[branch]] = True
                         slot = np.argmax(candidate_total)
             base += cost[branch, parent[branch]]

@@ -187,9 +187,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
     for i in range(3):
         for j in range(m):
             gain[i, j] = (
-                covariance[i, 0] * white[j, 0]
-                + covariance[i, 1] * white[j, 1]
-                + covariance[i, 2] * white[j, 2]
+                covariance[i, 0] * white[j, 0] + covariance[i, 1] * white[j, 1] + covariance[i, 2] * white[j, 2]
             )
     return True, chi2, log_volume
 
@@ -281,9 +279,7 @@ def new_hypotheses(density, n, scan, local, model):
             if not valid or not chi2 < REDUNDANT_LIMIT:
                 continue
             reference = scan.log_snr[p] + log_spreading(kind, x, state, model.site)
-            detected = look_up(model.table, scan.log_snr[p]) * visible_share(
-                x, covariance, state, kind, model
-            )
+            detected = look_up(model.table, scan.log_snr[p]) * visible_share(x, covariance, state, kind, model)
             intensity = undetected_intensity(x, covariance, kind, reference, density, model)
             if detected * intensity <= 0.0:
                 continue

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, copy_matrix, copy_vector
 from dopslam.errors import FilterError
 from dopslam.models.kernels import propagate_state
 from dopslam.models.motion import CoordinatedTurn
@@ -71,7 +71,8 @@ def predict(density, model):
     jacobian = np.empty((n, n))
     mean = density.mean.copy()
     covariance = density.covariance.copy()
-    mean[:n] = propagate_state(density.mean[:n], model.interval, model.site[4], model.turn_rate, jacobian)
+    moved_state = propagate_state(density.mean[:n], model.interval, model.site[4], model.turn_rate, jacobian)
+    copy_vector(moved_state, mean)
     moved = np.zeros((n, size))
     for i in range(n):
         for k in range(n):
@@ -107,9 +108,9 @@ def predict(density, model):
 def worth_updating(associations, negligible):
     """The associations above `negligible` times the best weight, renormalized."""
     keep = 0
-    while keep < associations.log_weight.shape[0] and associations.log_weight[
-        keep
-    ] >= associations.log_weight[0] + math.log(negligible):
+    while keep < associations.log_weight.shape[0] and associations.log_weight[keep] >= associations.log_weight[
+        0
+    ] + math.log(negligible):
         keep += 1
     return Associations(normalize(associations.log_weight[:keep]), associations.track[:keep])
 
@@ -144,13 +145,12 @@ def name_tracks(prior, local, associations, final_log_weight):
         weight[a] = mass * math.exp(final_log_weight[a])
         if weight[a] > weight[best]:
             best = a
-    track = np.full(associations.track.shape, NO_TRACK)
+    track = np.empty(associations.track.shape, dtype=np.int64)
     existence = np.zeros(count)
     for p in range(count):
         for a in range(weight.shape[0]):
             t = associations.track[a, p]
-            if t >= 0:
-                track[a, p] = prior.track[local.first[t]]
+            track[a, p] = prior.track[local.first[t]] if t >= 0 else NO_TRACK
         t = associations.track[best, p]
         if t >= 0:
             for b in range(local.first[t], local.first[t + 1]):
@@ -283,8 +283,8 @@ def extract(posterior):
             last += 1
         va[count] /= max(existence[count], 1e-300)
         start = n + 3 * (best - 1)
-        position[count] = posterior.mean[start : start + 3]
-        covariance[count] = posterior.covariance[start : start + 3, start : start + 3]
+        copy_vector(posterior.mean[start : start + 3], position[count])
+        copy_matrix(posterior.covariance[start : start + 3, start : start + 3], covariance[count])
         kind[count], track[count] = posterior.kind[best], posterior.track[best]
         count += 1
         b = last
@@ -351,9 +351,7 @@ def filter_steps(
         try:
             posterior, info = step(posterior, scan_of(scans, k, parameters.doppler), model)
         except ValueError as error:
-            raise FilterError(
-                f"step {k}: {error}; check the measurement covariances and the prior"
-            ) from error
+            raise FilterError(f"step {k}: {error}; check the measurement covariances and the prior") from error
         yield posterior, info
 
 

@@ -86,16 +86,12 @@ def detection_probability(density, n, block, model):
     if block == 0:
         if density.detections[0] == 0.0 and model.use_snr:
             return model.table[-1]
-        return look_up(
-            model.table, density.reference[0] - log_spreading(0, density.mean, density.mean, model.site)
-        )
+        return look_up(model.table, density.reference[0] - log_spreading(0, density.mean, density.mean, model.site))
     start = start_of(n, block)
     x = density.mean[start : start + 3]
     kind = density.kind[block]
     share = visible_share(x, relative_spread(density.covariance, n, block), density.mean, kind, model)
-    return share * look_up(
-        model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site)
-    )
+    return share * look_up(model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site))
 
 
 @compiled
@@ -165,8 +161,9 @@ def local_hypotheses(density, n, scan, model):
 @compiled
 def normalize(log_weight):
     """Log-weights that sum to one."""
-    top = log_weight.max()
-    total = 0.0
+    top, total = -np.inf, 0.0
+    for i in range(log_weight.shape[0]):
+        top = max(top, log_weight[i])
     for i in range(log_weight.shape[0]):
         total += math.exp(log_weight[i] - top)
     return log_weight - (top + math.log(total))

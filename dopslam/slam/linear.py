@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compiled import clear, compiled
 from dopslam.models.kernels import cholesky, linearize, predict_measurement, subtract
 from dopslam.slam.pmb import start_of
 
@@ -23,7 +23,7 @@ def linearize_block(mean, covariance, n, block, kind, model, z, by_state, by_lan
     state = mean[:n]
     landmark = mean[start_of(n, block) : start_of(n, block) + 3] if block > 0 else mean[:3]
     valid = linearize(state, landmark, kind, model.site, z, by_state, by_landmark)
-    extra[:, :] = 0.0
+    clear(extra)
     if model.cubature and valid:
         cubature(mean, covariance, n, block, kind, model, z, by_state, by_landmark, extra)
     return valid
@@ -97,7 +97,7 @@ def project_rows(covariance, n, block, by_state, by_landmark, out):
     rows = by_state.shape[0]
     size = covariance.shape[0]
     start = start_of(n, block)
-    out[:, :] = 0.0
+    clear(out)
     for i in range(rows):
         for k in range(n):
             a = by_state[i, k]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, take
 from dopslam.errors import FilterError
 from dopslam.models.detection import (
     TABLE_START_DB,
@@ -164,20 +164,15 @@ class FilterParameters:
     def __post_init__(self) -> None:
         if self.associations < 1 or self.iterations < 1:
             raise FilterError(
-                f"FilterParameters: associations ({self.associations}) and iterations ({self.iterations}) "
-                "must be ≥ 1"
+                f"FilterParameters: associations ({self.associations}) and iterations ({self.iterations}) must be ≥ 1"
             )
         if not 0 < self.survival <= 1:
             raise FilterError(f"FilterParameters.survival is {self.survival}; it must lie in (0, 1]")
         if not (self.gate > 0 and min(self.intensity) > 0 and min(self.birth_intensity) >= 0):
-            raise FilterError(
-                "FilterParameters: gate and intensity must be positive, birth_intensity not negative"
-            )
+            raise FilterError("FilterParameters: gate and intensity must be positive, birth_intensity not negative")
 
 
-def compile_model(
-    parameters: FilterParameters, motion: CoordinatedTurn, bs: Array, height: float = 0.0
-) -> Model:
+def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Array, height: float = 0.0) -> Model:
     """The parameters as compiled code reads them.
 
     Parameters
@@ -280,10 +275,10 @@ def select(density, keep):
     return PMB(
         mean,
         covariance,
-        density.kind[keep],
-        density.weight[keep],
-        density.track[keep],
-        density.reference[keep],
-        density.detections[keep],
+        take(density.kind, keep),
+        take(density.weight, keep),
+        take(density.track, keep),
+        take(density.reference, keep),
+        take(density.detections, keep),
         density.trail,
     )

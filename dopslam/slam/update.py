@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, copy_matrix, copy_vector
 from dopslam.models.kernels import VA, cholesky, solve_lower, subtract
 from dopslam.slam.birth import log_spreading
 from dopslam.slam.hypotheses import normalize
@@ -55,9 +55,7 @@ def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, 
     """
     m = z.shape[0]
     size = mean.shape[0]
-    linearize_block(
-        point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra
-    )
+    linearize_block(point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra)
     subtract(z, work.predicted, work.by_landmark, work.by_state, work.nu)
     start = start_of(n, block)
     for i in range(m):
@@ -180,9 +178,7 @@ def joint_update(density, n, local, scan, association, model, work):
                 distance += d
                 evidence += e
             _absorb(mean, covariance, work)
-    for p in range(
-        count
-    ):  # siblings of the other type: an update of their own, the UE has used the measurement
+    for p in range(count):  # siblings of the other type: an update of their own, the UE has used the measurement
         t = association[p]
         if t < 1:
             continue
@@ -254,7 +250,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     full = size + 3 * born
     start = np.empty((born, 3))
     for c in range(born):
-        start[c] = position[measurement[c], kinds[c] - VA]
+        copy_vector(position[measurement[c], kinds[c] - VA], start[c])
     means, covariances = np.zeros((components, full)), np.zeros((components, full, full))
     weights = np.zeros((components, old + born))
     references, detections = np.zeros((components, old + born)), np.zeros((components, old + born))
@@ -264,8 +260,8 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     for a in range(components):
         association = chosen.track[a]
         mean, covariance, d, evidence = joint_update(density, n, local, scan, association, model, work)
-        means[a, :size] = mean
-        covariances[a, :size, :size] = covariance
+        copy_vector(mean, means[a])
+        copy_matrix(covariance, covariances[a])
         weights_after(density, local, scan, association, model, weights[a], references[a], detections[a])
         if born > 0:
             give_birth(means[a], covariances[a], n, size, scan, measurement, kinds, association, start, model)
@@ -297,14 +293,15 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     if not model.joint:
         drop_cross_covariances(covariance, n)
     kind, track = np.empty(old + born, dtype=np.int64), np.empty(old + born, dtype=np.int64)
-    kind[:old], track[:old] = density.kind, density.track
+    copy_vector(density.kind, kind)
+    copy_vector(density.track, track)
     for c in range(born):
         kind[old + c] = kinds[c]
         track[old + c] = scan.first + measurement[c]
     cap_existence(weight, track, model.existence_limit)
     trail = np.empty((density.trail.shape[0] + 1, 2))
-    trail[:-1] = density.trail
-    trail[-1] = mean[:2]
+    copy_matrix(density.trail, trail)
+    copy_vector(mean[:2], trail[density.trail.shape[0]])
     posterior = PMB(mean, covariance, kind, weight, track, reference, detection, trail)
     return posterior, log_weight, distance, rows
 
