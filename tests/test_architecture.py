@@ -65,7 +65,7 @@ FLOORS = [
     {"pipeline"},
     {"tracks", "datasets", "cluster", "foreign"},
     {"export"},
-    {"stages", "studies", "montecarlo"},
+    {"stages", "studies", "montecarlo", "benchmark", "reproduction"},
     {"traced_study"},
     {"cli"},
 ]
