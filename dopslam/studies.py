@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam import build
-from dopslam.bounds import Bound, situation_bound
+from dopslam.bounds import Bound, doppler_contribution, situation_bound
 from dopslam.config import Scenario
 from dopslam.errors import ConfigError
 from dopslam.models.detection import ConstantDetection
@@ -31,8 +31,7 @@ def world(scenario: Scenario, prior: str, doppler_std: float | None) -> Situatio
     """
     if not scenario.source.model.virtual_anchors and not scenario.scatter_point:
         raise ConfigError(
-            f"{scenario.name}: the model source has no landmark; "
-            "list source.model.virtual_anchors or [[scatter_point]]"
+            f"{scenario.name}: the model source has no landmark; list source.model.virtual_anchors or [[scatter_point]]"
         )
     situation = build.situation(scenario, prior)
     noise = situation.noise
@@ -102,10 +101,35 @@ def bound_table(bound: Bound, names: NDArray[np.str_]) -> tuple[list[str], list[
     header, rows = ["step", "peb_m", "heb_rad", "ceb_m", *columns], []
     for k in range(len(bound.peb)):
         errors = ["" if np.isnan(value) else f"{value:.9g}" for value in bound.leb[k, landmarks]]
-        rows.append(
-            [str(k + 1), f"{bound.peb[k]:.9g}", f"{bound.heb[k]:.9g}", f"{bound.ceb[k]:.9g}", *errors]
-        )
+        rows.append([str(k + 1), f"{bound.peb[k]:.9g}", f"{bound.heb[k]:.9g}", f"{bound.ceb[k]:.9g}", *errors])
     return header, rows
+
+
+def contribution_table(
+    scenario: Scenario, prior: str = "std", doppler_std: float | None = None
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the CSV of (22)-(25): direct information of each path with and without its Doppler.
+
+    Position and landmark columns are traces [1/m²], heading [1/rad²]; a path's Doppler adds the `doppler_` column to
+    the `rest_` column of its other five rows.
+    """
+    situation = world(scenario, prior, doppler_std)
+    names = build.model_landmarks(scenario).name
+    parts = doppler_contribution(situation)
+    columns = {
+        "doppler_position_1_m2": parts.position,
+        "rest_position_1_m2": parts.position_rest,
+        "doppler_heading_1_rad2": parts.heading,
+        "rest_heading_1_rad2": parts.heading_rest,
+        "doppler_landmark_1_m2": parts.landmark,
+        "rest_landmark_1_m2": parts.landmark_rest,
+    }
+    rows = [
+        [str(k + 1), str(name), *(f"{value[k, i]:.9g}" for value in columns.values())]
+        for k in range(situation.steps)
+        for i, name in enumerate(names)
+    ]
+    return ["step", "landmark", *columns], rows
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -145,9 +145,7 @@ def test_bound_table_from_the_command_line(tmp_path, capsys):
     assert "p_D = 1" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "arguments", [["--doppler-std", "-1"], ["--visibility", "far"], ["--set", "filter.gat=3"]]
-)
+@pytest.mark.parametrize("arguments", [["--doppler-std", "-1"], ["--visibility", "far"], ["--set", "filter.gat=3"]])
 def test_bad_options_are_one_line(arguments, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["bound", "ring_road", *arguments])

@@ -18,6 +18,7 @@ def bound(
     visibility: str = "all",
     information: Annotated[Literal["full", "weighted"], Parameter(negative=())] = "full",
     csv: Path | None = None,
+    contributions: Path | None = None,
     settings: Settings = None,
 ) -> None:
     """Posterior Cramér–Rao bounds: of a scenario on its nominal track, or of a dataset file with its own
@@ -38,6 +39,9 @@ def bound(
         full: every visible landmark is detected at every step (p_D = 1); weighted: information times p_D.
     csv
         Write step,peb_m,heb_rad,ceb_m,leb_…_m to this file, steps from 1.
+    contributions
+        Write how much information each path's Doppler adds directly to position, heading and landmark (paper A, eqs.
+        22-25) to this CSV file.
     settings
         Override a scenario key.
     """
@@ -49,9 +53,7 @@ def bound(
     console = Console()
     if Path(scene).is_file() and Path(scene).suffix != ".toml":
         if std is not None or csv is not None:
-            raise ConfigError(
-                f"{scene}: a dataset's bound uses its own R; leave out a numeric --doppler-std and --csv"
-            )
+            raise ConfigError(f"{scene}: a dataset's bound uses its own R; leave out a numeric --doppler-std and --csv")
         from dopslam import stages
 
         stages.bound(Path(scene), overrides(settings), doppler)
@@ -60,7 +62,7 @@ def bound(
         return
     from dopslam import build
     from dopslam.config import load
-    from dopslam.studies import bound_table, nominal_bound, write_text
+    from dopslam.studies import bound_table, contribution_table, nominal_bound, write_text
 
     reach = _visibility(visibility)
     scenario = load(scene, overrides(settings))
@@ -79,6 +81,10 @@ def bound(
         f"CEB {result.ceb.mean():.4f} m; "
         f"last step: {result.peb[last]:.4f} m, {result.heb[last]:.6f} rad, {result.ceb[last]:.4f} m"
     )
+    if contributions is not None:
+        table = contribution_table(scenario, prior, std)
+        write_text(contributions, "\n".join(",".join(row) for row in [table[0], *table[1]]) + "\n")
+        console.print(f"written: {contributions}")
     if csv is not None:
         write_text(csv, "\n".join(",".join(row) for row in [header, *rows]) + "\n")
         console.print(f"written: {csv}")
