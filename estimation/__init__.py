@@ -1,4 +1,5 @@
-"""Open parametric channel estimation: joint delay, AOA, AOD, Doppler and complex amplitude of an unknown number of paths.
+"""Open parametric channel estimation: joint delay, AOA, AOD, Doppler and complex amplitude of an unknown number
+of paths.
 
 Usable alone: this package knows nothing of ray tracing or SLAM. A minimal run::
 
@@ -17,19 +18,19 @@ from .ambiguity import Ambiguity, ScheduleWarning, ambiguity, check_schedule
 from .detections import Detections, Flag
 from .errors import EstimationError, ModelError, SignalError
 from .estimators.detect import detection_probability
-from .estimators.grids import View
 from .estimators.dmc import exponential_profile, pilot_covariance
 from .estimators.esprit import Esprit
+from .estimators.grids import View
 from .estimators.nomp import Nomp
 from .estimators.sage import Sage
 from .fisher import crb, fisher_information, snr
 from .signal.arrays import Array, Manifold, Pattern, cylinder, ula, ura
 from .signal.directions import angles_of, unit_vectors
 from .signal.model import SignalModel
+from .signal.noise import white_noise
 from .signal.paths import PARAMETERS, PathTable
 from .signal.patterns import CosinePattern, DipolePattern, EadfArray, outward
 from .signal.schedule import Schedule, antenna_switching, dft_beams, digital, random_phase_beams, sweep
-from .signal.noise import white_noise
 from .signal.synthesis import synthesize
 from .signal.waveform import SPEED_OF_LIGHT, Waveform, comb
 

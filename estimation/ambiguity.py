@@ -1,8 +1,9 @@
 """Is the schedule unambiguous? Doppler against beam order.
 
-A swept beam codes the departure direction into the order of gains over time, and Doppler turns phases over time: with DFT beams in a fixed
-order a multiple of wavelength over sweep time in speed looks like another direction, and detections are off by exactly that. A
-fresh permutation in every sweep, or random-phase beams, break the pattern.
+A swept beam codes the departure direction into the order of gains over time, and Doppler turns phases over
+time: with DFT beams in a fixed order a multiple of wavelength over sweep time in speed looks like another
+direction, and detections are off by exactly that. A fresh permutation in every sweep, or random-phase beams,
+break the pattern.
 """
 
 from __future__ import annotations
@@ -82,14 +83,18 @@ def ambiguity(
 
 
 def check_schedule(model: SignalModel, max_speed: float, departure_view: View | None = None) -> Ambiguity:
-    """Warn (:class:`ScheduleWarning`) if Doppler and beam order are ambiguous within ``max_speed``, and say at which speeds."""
+    """Warn (:class:`ScheduleWarning`) if Doppler and beam order are ambiguous within ``max_speed``, and say
+    at which speeds.
+    """
     result = ambiguity(model, max_speed, departure_view)
     if result.level.max() > LIMIT:
         where = ", ".join(f"{s:.1f}" for s in result.ambiguous_speeds[:6])
         share = float(np.mean(result.level > LIMIT))
         warnings.warn(
-            f"schedule: {share:.0%} of the departure directions are ambiguous in Doppler at speed differences of {where} m/s "
-            f"(correlation up to {result.level.max():.3f}); use a fresh permutation of the beams in every sweep, "
+            f"schedule: {share:.0%} of the departure directions are ambiguous in Doppler at speed "
+            f"differences of {where} m/s "
+            f"(correlation up to {result.level.max():.3f}); use a fresh permutation of the beams in "
+            "every sweep, "
             "random-phase beams, or a smaller max_speed",
             ScheduleWarning,
             stacklevel=2,

@@ -38,7 +38,8 @@ class Detections:
     aoa, aod : (P, 2) azimuth and elevation [rad], in the receiver's and transmitter's frame
     radial_velocity : (P,) [m/s], positive when approaching
     gain : (P,) complex amplitude at the carrier and burst center
-    covariance : (P, 6, 6) of (delay, AOA az, el, AOD az, el, radial velocity), gains and all other paths as nuisance
+    covariance : (P, 6, 6) of (delay, AOA az, el, AOD az, el, radial velocity), gains and all other paths as
+        nuisance
     tangent_covariance : (P, 6, 6) the same with azimuth errors times cos(el), regular at the poles
     snr : (P,) post-integration SNR rho, linear
     noise_variance : per whitened sample, estimated or given
@@ -101,6 +102,4 @@ class Detections:
             "flags",
         )
         rest = ("noise_variance", "threshold", "false_alarm_rate", "active")
-        return Detections(
-            **{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest}
-        )
+        return Detections(**{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest})

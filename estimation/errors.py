@@ -1,7 +1,7 @@
 """Exceptions of the ``estimation`` package.
 
-Every error raised on purpose derives from :class:`EstimationError`; its message names what is wrong, where, the offending
-value and the remedy.
+Every error raised on purpose derives from :class:`EstimationError`; its message names what is wrong, where,
+the offending value and the remedy.
 """
 
 from __future__ import annotations

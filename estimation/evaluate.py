@@ -1,8 +1,11 @@
-"""How good detections are: association with the truth, RMSE over the bound, NEES, probability of detection, false paths."""
+"""How good detections are: association with the truth, RMSE over the bound, NEES, probability of detection,
+false paths.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -43,12 +46,16 @@ class Match:
 
     @property
     def nees(self) -> Float:
-        """(A,) normalized squared errors with the detections' own covariances (expected: the number of parameters)."""
+        """(A,) normalized squared errors with the detections' own covariances (expected: the number of
+        parameters).
+        """
         return _squared(self.error, self.covariance)
 
 
 def differences(found: Float, truth: Float, period: float = np.inf) -> Float:
-    """Parameter differences (..., 6), azimuths wrapped to +-pi and delays to half the unambiguous ``period`` [s]."""
+    """Parameter differences (..., 6), azimuths wrapped to +-pi and delays to half the unambiguous ``period``
+    [s].
+    """
     error = np.array(found - truth)
     error[..., [1, 3]] = (error[..., [1, 3]] + np.pi) % (2 * np.pi) - np.pi
     if np.isfinite(period) and period > 0:
@@ -76,7 +83,8 @@ def associate(
             np.nan_to_num(_squared(error[..., active], both), nan=1e9),
             np.linalg.slogdet(both / _unit(bound, active))[1],
         )
-    # The determinant keeps an unresolved path with a huge bound from taking the detection of its strong neighbor.
+    # The determinant keeps an unresolved path with a huge bound from taking the detection of its strong
+    # neighbor.
     row, column = linear_sum_assignment(np.where(distance < gate, distance + volume, 1e6))
     good = distance[row, column] < gate
     row, column = row[good], column[good]
@@ -114,7 +122,8 @@ class Summary:
 
     Attributes
     ----------
-    rmse_over_crb : (6,) root of the mean squared ratio of error to bound, over associations with rho above ``accuracy_from``
+    rmse_over_crb : (6,) root of the mean squared ratio of error to bound, over associations with rho above
+        ``accuracy_from``
     rmse_interval : (6, 2)
     nees_over_n : mean own-covariance NEES over the number of parameters
     nees_interval : (2,)
@@ -165,8 +174,7 @@ def detection_by_band(matches: list[Match], edges_db) -> list[tuple[int, int]]:
     rho = 10 * np.log10(np.maximum(np.concatenate([m.rho for m in matches]), 1e-12))
     found = np.concatenate([m.detected for m in matches])
     return [
-        (int(found[(rho >= a) & (rho < b)].sum()), int(((rho >= a) & (rho < b)).sum()))
-        for a, b in zip(edges_db[:-1], edges_db[1:], strict=True)
+        (int(found[(rho >= a) & (rho < b)].sum()), int(((rho >= a) & (rho < b)).sum())) for a, b in pairwise(edges_db)
     ]
 
 
@@ -175,7 +183,7 @@ def nees_by_band(matches: list[Match], edges_db) -> list[tuple[float, int]]:
     rho = 10 * np.log10(np.concatenate([m.rho[m.truth] for m in matches]))
     nees = np.concatenate([m.nees for m in matches])
     size = matches[0].error.shape[1]
-    bands = zip(edges_db[:-1], edges_db[1:], strict=True)
+    bands = pairwise(edges_db)
     return [
         (float(nees[k].mean() / size) if k.any() else np.nan, int(k.sum()))
         for k in ((rho >= a) & (rho < b) for a, b in bands)

@@ -68,9 +68,7 @@ def _weak(plt, result):
         measured.append(value["p_detect"])
         law.append(value["model"])
         spread.append(np.abs(np.array(value["interval"]) - value["p_detect"]))
-    axis.errorbar(
-        centers, measured, np.array(spread).T, marker="o", color=COLORS[0], capsize=3, label="measured"
-    )
+    axis.errorbar(centers, measured, np.array(spread).T, marker="o", color=COLORS[0], capsize=3, label="measured")
     axis.plot(centers, law, "s--", color=COLORS[1], label="model p_D(rho)")
     axis.set(xlabel="rho [dB]", ylabel="probability of detection")
     axis.legend()

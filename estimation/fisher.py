@@ -1,7 +1,9 @@
-"""Fisher information and Cramer-Rao bounds of the path parameters, complex gains as nuisance (Slepian-Bangs, white noise after whitening).
+"""Fisher information and Cramer-Rao bounds of the path parameters, complex gains as nuisance (Slepian-Bangs,
+white noise after whitening).
 
-``J_ab = (2 / sigma^2) Re{(d_a mu)^H (W^H W)^{-1} (d_b mu)}`` over all parameters and gains of all paths; the Schur complement
-eliminates the gains, and the (6, 6) diagonal blocks of the inverse are the paths' marginal covariances.
+``J_ab = (2 / sigma^2) Re{(d_a mu)^H (W^H W)^{-1} (d_b mu)}`` over all parameters and gains of all paths; the
+Schur complement eliminates the gains, and the (6, 6) diagonal blocks of the inverse are the paths' marginal
+covariances.
 """
 
 from __future__ import annotations
@@ -17,7 +19,9 @@ from .signal.paths import PathTable, tangent_jacobian
 
 
 def fisher_information(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
-    """(6P, 6P) information on delay [s], AOA and AOD tangents [rad], radial velocity [m/s] of all paths, gains eliminated."""
+    """(6P, 6P) information on delay [s], AOA and AOD tangents [rad], radial velocity [m/s] of all paths,
+    gains eliminated.
+    """
     if not noise_variance > 0:
         raise EstimationError(f"fisher_information: noise_variance must be positive, got {noise_variance}")
     blocks = model.evaluate(paths.geometry)
@@ -27,7 +31,9 @@ def fisher_information(model: SignalModel, paths: PathTable, noise_variance: flo
 
 
 def crb(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
-    """Cramer-Rao bound (P, 6, 6) per path in (delay [s], AOA az, el, AOD az, el [rad], radial velocity [m/s])."""
+    """Cramer-Rao bound (P, 6, 6) per path in (delay [s], AOA az, el, AOD az, el [rad], radial velocity
+    [m/s]).
+    """
     tangent = path_covariances(fisher_information(model, paths, noise_variance), model.active)
     scale = tangent_jacobian(paths.geometry)
     with np.errstate(invalid="ignore"):
@@ -35,15 +41,19 @@ def crb(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
 
 
 def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
-    """Post-integration SNR rho (P,) of each path with all others known but their gains: ``|g|^2 / (sigma^2 [G^-1]_pp)``."""
+    """Post-integration SNR rho (P,) of each path with all others known but their gains: ``|g|^2 / (sigma^2
+    [G^-1]_pp)``.
+    """
     matrix = gram(model, model.evaluate(paths.geometry))[:, 0, :, 0]
     return np.abs(paths.gain) ** 2 / (noise_variance * np.diag(np.linalg.inv(matrix)).real)
 
 
 def path_covariances(information: Float, active) -> Float:
-    """Diagonal blocks (P, 6, 6) of the inverse information; infinite variance for parameters that the link does not observe.
+    """Diagonal blocks (P, 6, 6) of the inverse information; infinite variance for parameters that the link
+    does not observe.
 
-    A pseudo-inverse after scaling to unit diagonal gives a singular direction (azimuth at a pole) a huge but finite variance.
+    A pseudo-inverse after scaling to unit diagonal gives a singular direction (azimuth at a pole) a huge but
+    finite variance.
     """
     paths = len(information) // 6
     observed = np.tile(np.asarray(active, bool), paths)

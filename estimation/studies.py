@@ -1,14 +1,15 @@
 """Monte Carlo studies of the estimators: accuracy, detection, resolution, false alarms, speed.
 
-Every function draws its own data from explicit seeds and returns plain dictionaries (JSON), with 95 % intervals beside the estimates. The
-reference link has 64 subcarriers over 400 MHz, 16 symbols 125 us apart, a 4 x 4 receiver and an 8 x 8 transmitter at 28 GHz: 1.05 M samples,
-60.2 dB of integration gain.
+Every function draws its own data from explicit seeds and returns plain dictionaries (JSON), with 95 %
+intervals beside the estimates. The reference link has 64 subcarriers over 400 MHz, 16 symbols 125 us apart, a
+4 x 4 receiver and an 8 x 8 transmitter at 28 GHz: 1.05 M samples, 60.2 dB of integration gain.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import beta
@@ -34,17 +35,15 @@ BANDS = (10, 14, 17, 20, 25, 35, 50, 90)
 ESTIMATORS = {"nomp": Nomp, "sage": Sage, "esprit": Esprit}
 
 
-def reference_link(
-    subcarriers: int = 64, symbols: int = 16, receiver=(4, 4), transmitter=(8, 8)
-) -> SignalModel:
+def reference_link(subcarriers: int = 64, symbols: int = 16, receiver=(4, 4), transmitter=(8, 8)) -> SignalModel:
     """The digital link of the studies (or another of its kind)."""
-    return SignalModel(
-        comb(28e9, 6.25e6, subcarriers), digital(symbols, 125e-6), ura(*transmitter), ura(*receiver)
-    )
+    return SignalModel(comb(28e9, 6.25e6, subcarriers), digital(symbols, 125e-6), ura(*transmitter), ura(*receiver))
 
 
 def hybrid_link(seed: int = 3) -> SignalModel:
-    """Eq. (2) with precoders and combiners: 64 subcarriers, 4 sweeps of 32 random beams x 4 orthonormal combiners of 4 ports, 131 k samples."""
+    """Eq. (2) with precoders and combiners: 64 subcarriers, 4 sweeps of 32 random beams x 4 orthonormal
+    combiners of 4 ports, 131 k samples.
+    """
     rng = np.random.default_rng(seed)
     square = np.linalg.qr(rng.standard_normal((16, 16)) + 1j * rng.standard_normal((16, 16)))[0]
     combiners = np.moveaxis(square.reshape(16, 4, 4), 1, 0)
@@ -53,7 +52,9 @@ def hybrid_link(seed: int = 3) -> SignalModel:
 
 
 def swept_link(seed: int = 7) -> SignalModel:
-    """The radio of ring_road: 400 pilots every 480 kHz, 8 sweeps of 16 random beams, cylinders 16 x 2 and 8 x 2, 0.82 M samples."""
+    """The radio of ring_road: 400 pilots every 480 kHz, 8 sweeps of 16 random beams, cylinders 16 x 2 and 8 x
+    2, 0.82 M samples.
+    """
     rng = np.random.default_rng(seed)
     schedule = sweep(random_phase_beams(16, 32, rng), 8, 35.68e-6, rng=rng)
     return SignalModel(comb(28e9, 120e3, 400, 4), schedule, cylinder(16, 2), cylinder(8, 2))
@@ -61,7 +62,9 @@ def swept_link(seed: int = 7) -> SignalModel:
 
 @dataclass(frozen=True)
 class Draw:
-    """How path sets are drawn: number, separation in at least one mode [bins], delays [s], speeds [m/s], strengths below the first [dB]."""
+    """How path sets are drawn: number, separation in at least one mode [bins], delays [s], speeds [m/s],
+    strengths below the first [dB].
+    """
 
     paths: int = 8
     separation: float = 1.0
@@ -71,14 +74,14 @@ class Draw:
 
 
 def draw_paths(model: SignalModel, rng: np.random.Generator, draw: Draw = Draw()) -> PathTable:
-    """A path of unit gain and weaker ones in front of planar arrays, each pair separated in at least one mode."""
+    """A path of unit gain and weaker ones in front of planar arrays, each pair separated in at least one
+    mode.
+    """
     count = draw.paths
     period = np.ptp(model.schedule.times) or 1.0
     for _ in range(1000):
         delay, speed = rng.uniform(*draw.delays, count), rng.uniform(*draw.speeds, count)
-        cosines = np.stack(
-            [rng.uniform(-0.85, 0.85, (2, count)), rng.uniform(-0.5, 0.5, (2, count))], axis=-1
-        )
+        cosines = np.stack([rng.uniform(-0.85, 0.85, (2, count)), rng.uniform(-0.5, 0.5, (2, count))], axis=-1)
         elevation = np.arcsin(cosines[..., 1])
         sine = cosines[..., 0] / np.cos(elevation)
         if np.any(np.abs(sine) > 0.91):
@@ -142,9 +145,7 @@ def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
     rho = np.concatenate([m.rho for m in runs.matches])
     decibels = 10 * np.log10(np.maximum(rho, 1e-9))
     detect = {}
-    for (low, high), (found, present) in zip(
-        zip(BANDS[:-1], BANDS[1:], strict=True), detection_by_band(runs.matches, BANDS), strict=True
-    ):
+    for (low, high), (found, present) in zip(pairwise(BANDS), detection_by_band(runs.matches, BANDS), strict=True):
         if present:
             inside = (decibels >= low) & (decibels < high)
             law = detection_probability(rho[inside], runs.threshold, runs.parameters)
@@ -156,9 +157,7 @@ def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
             }
     nees = {
         f"{a}-{b}": {"nees_over_6": value, "paths": count}
-        for (a, b), (value, count) in zip(
-            zip(BANDS[:-1], BANDS[1:], strict=True), nees_by_band(runs.matches, BANDS), strict=True
-        )
+        for (a, b), (value, count) in zip(pairwise(BANDS), nees_by_band(runs.matches, BANDS), strict=True)
         if count
     }
     false = np.array([m.false for m in runs.matches])
@@ -182,10 +181,10 @@ def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
     }
 
 
-def accuracy(
-    name: str, snapshots: int, snrs_db=(-20, -10, 0, 10, 20), seed: int = 1, warm: bool = False
-) -> dict:
-    """Reference link: ``snapshots`` bursts of eight paths at each per-sample SNR of the strongest; pooled and per SNR."""
+def accuracy(name: str, snapshots: int, snrs_db=(-20, -10, 0, 10, 20), seed: int = 1, warm: bool = False) -> dict:
+    """Reference link: ``snapshots`` bursts of eight paths at each per-sample SNR of the strongest; pooled and
+    per SNR.
+    """
     model = reference_link()
     estimator = ESTIMATORS[name](model, arrival_view=FRONT, departure_view=FRONT)
     series = {}
@@ -198,9 +197,7 @@ def accuracy(
         float(estimator.threshold),
         estimator.parameters,
     )
-    return report_runs(pooled) | {
-        "per_snr": {str(level): report_runs(runs) for level, runs in series.items()}
-    }
+    return report_runs(pooled) | {"per_snr": {str(level): report_runs(runs) for level, runs in series.items()}}
 
 
 def weak_paths(
@@ -244,7 +241,9 @@ def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
 
 
 def resolution(dimension: int, separations, rho_db: float, trials: int, seed: int = 41) -> list[dict]:
-    """Two equal paths ``separations`` bins apart in one of delay, AOA, AOD, speed (0, 1, 2, 3): share of bursts with exactly both found."""
+    """Two equal paths ``separations`` bins apart in one of delay, AOA, AOD, speed (0, 1, 2, 3): share of
+    bursts with exactly both found.
+    """
     model = reference_link(64, 16, (4, 4), (4, 4))
     estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
     bins = (1 / model.waveform.bandwidth, 0.5, 0.5, model.waveform.wavelength / (16 * 125e-6))
@@ -299,7 +298,9 @@ def speed(
     ),
     bursts: int = 3,
 ) -> list[dict]:
-    """Fastest of a few bursts per size, cold and warm, with the share of the arithmetic floor of the dictionary products."""
+    """Fastest of a few bursts per size, cold and warm, with the share of the arithmetic floor of the
+    dictionary products.
+    """
     rows = []
     square = np.ones((512, 512), np.float32)
     reference = min(_timed(lambda: square @ square) for _ in range(9))
@@ -308,15 +309,11 @@ def speed(
         model = reference_link(*size)
         estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=0)
         draw = Draw(delays=(20e-9, 140e-9))
-        cases = [
-            lambda rng, m=model, d=draw: (draw_paths(m, rng, d), 100.0 * np.prod(m.shape) / 2**20)
-        ] * bursts
+        cases = [lambda rng, m=model, d=draw: (draw_paths(m, rng, d), 100.0 * np.prod(m.shape) / 2**20)] * bursts
         cold, warm = (run_series(estimator, model, cases, 51, w).milliseconds for w in (False, True))
         synthesis = min(
             _timed(
-                lambda m=model: synthesize(
-                    m, draw_paths(m, np.random.default_rng(1)), 1.0, np.random.default_rng(0)
-                )
+                lambda m=model: synthesize(m, draw_paths(m, np.random.default_rng(1)), 1.0, np.random.default_rng(0))
             )
             for _ in range(3)
         )
@@ -365,3 +362,61 @@ def schedules(max_speed: float = 25.0, seed: int = 61) -> dict:
                 "profile": result.profile.tolist(),
             }
     return rows
+
+
+def search_loss(
+    link: SignalModel | None = None, rhos_db=(13, 14, 15, 16, 17), trials: int = 40, seed: int = 71
+) -> dict:
+    """How much SNR the coarse search gives away against a likelihood ratio refined from the truth, single
+    paths in noise.
+
+    Both curves are fitted by the model p_D(rho) with a shift in dB (maximum likelihood); the loss is the
+    difference of the shifts.
+    """
+    from scipy.optimize import minimize_scalar
+
+    from .estimators.polish import ResidualProjector, separate_fit
+    from .estimators.projector import Projector, delay_basis
+
+    model = swept_link() if link is None else link
+    estimator = Nomp(model)
+    basis = delay_basis(model)
+    outcome = np.zeros((2, len(rhos_db), trials), bool)
+    for row, level in enumerate(rhos_db):
+        for trial in range(trials):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(row, trial)))
+            aoa, aod = (np.array([[rng.uniform(-3.1, 3.1), rng.uniform(-0.9, 0.9)]]) for _ in range(2))
+            delay, speed = rng.uniform(0, model.waveform.max_delay), rng.uniform(-22, 22)
+            path = PathTable([delay], aoa, aod, [speed], [np.exp(2j * np.pi * rng.random())])
+            path = at_snr(model, path, [10 ** (level / 10)])
+            signal = synthesize(model, path, 1.0, rng)
+            found = estimator.run(signal, noise_variance=1.0)
+            outcome[0, row, trial] = associate(model, found, path, 1.0).detected[0]
+            data = Projector(model, signal, basis)
+            _, energy = separate_fit(ResidualProjector(data, None), path.geometry, 1.0, np.inf, iterations=12)
+            outcome[1, row, trial] = energy[0] > estimator.threshold
+    hits = outcome.sum(axis=2)
+
+    def shift(counts) -> float:
+        def loss(delta: float) -> float:
+            rho = 10 ** ((np.array(rhos_db) - delta) / 10)
+            p = np.clip(detection_probability(rho, estimator.threshold, estimator.parameters), 1e-9, 1 - 1e-9)
+            return -float(np.sum(counts * np.log(p) + (trials - counts) * np.log(1 - p)))
+
+        return float(minimize_scalar(loss, bounds=(-2, 4), method="bounded").x)
+
+    rng = np.random.default_rng(seed)
+    boot = []
+    for _ in range(200):
+        pick = rng.integers(trials, size=(len(rhos_db), trials))
+        sample = np.take_along_axis(outcome, np.broadcast_to(pick, outcome.shape), axis=2).sum(axis=2)
+        boot.append(shift(sample[0]) - shift(sample[1]))
+    return {
+        "rho_db": list(rhos_db),
+        "search": (hits[0] / trials).tolist(),
+        "from_truth": (hits[1] / trials).tolist(),
+        "loss_db": shift(hits[0]) - shift(hits[1]),
+        "interval_db": np.percentile(boot, [2.5, 97.5]).tolist(),
+        "threshold": float(estimator.threshold),
+        "trials": trials,
+    }

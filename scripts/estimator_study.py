@@ -24,17 +24,13 @@ STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguit
 
 def main() -> None:
     """Run the chosen studies."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, metavar="OUT", help="where the numbers go")
     parser.add_argument("--study", nargs="+", default=["accuracy"], choices=[*STUDIES, "all"])
     parser.add_argument(
         "--estimator", nargs="+", default=["nomp", "sage", "esprit"], choices=["nomp", "sage", "esprit"]
     )
-    parser.add_argument(
-        "--snapshots", type=int, default=10, help="bursts per point (100 for the published figures)"
-    )
+    parser.add_argument("--snapshots", type=int, default=10, help="bursts per point (100 for the published figures)")
     parser.add_argument(
         "--snr",
         nargs="+",
@@ -54,8 +50,7 @@ def main() -> None:
     options.json.parent.mkdir(parents=True, exist_ok=True)
     # The accuracy figures of each estimator also stand at the top level, by its name.
     top = {
-        name: {k: v for k, v in value.items() if k != "per_snr"}
-        for name, value in results.get("accuracy", {}).items()
+        name: {k: v for k, v in value.items() if k != "per_snr"} for name, value in results.get("accuracy", {}).items()
     }
     options.json.write_text(json.dumps(top | {"studies": results}, indent=1))
     if options.figures:

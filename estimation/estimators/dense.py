@@ -1,7 +1,8 @@
-"""Coarse search of fully digital links: the matched-filter spectrum over delay x speed x AOA x AOD, complete and coherent.
+"""Coarse search of fully digital links: the matched-filter spectrum over delay x speed x AOA x AOD, complete and
+coherent.
 
-Each mode is multiplied by its dictionary in turn (the delays by FFT), limited to the field of view, and found paths are subtracted in the
-spectrum itself as outer products of the dictionaries' responses.
+Each mode is multiplied by its dictionary in turn (the delays by FFT), limited to the field of view, and found
+paths are subtracted in the spectrum itself as outer products of the dictionaries' responses.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from .polish import ResidualProjector
 from .search import C64, Effort, largest
 
 NOISE_CELL = 6.5
-"""Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best cell, but for rare scalloping."""
+"""Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best
+cell, but for rare scalloping.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +63,7 @@ class DenseSearch:
     ) -> DenseSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform = model.waveform
-        delay = DelayGrid.build(
-            waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling
-        )
+        delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling)
         arrivals = direction_grid(arrival_view, model.receiver, retained)
         departures = direction_grid(departure_view, model.transmitter, retained)
         speeds = speed_grid(model, max_speed, oversampling, registers=False)

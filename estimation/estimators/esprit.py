@@ -1,10 +1,11 @@
 """ESPRIT in all dimensions at once, for fully digital links of uniform pilots and arrays that are shift-invariant.
 
-The data as a matrix (pilots x symbols) by (receive x transmit elements) have the paths' outer products as their leading singular vectors.
-Shifts by one pilot and one symbol act on the left subspace, shifts between displaced subarrays on the right one; eigenvectors of a mixture of the
-shifts separate the paths on either side, and the core matrix pairs the sides. No search, but a subspace stands out of the noise only above
-``sqrt(rows) + sqrt(columns)``: it needs some 20 dB more than a matched filter. Use it as a start at high SNR, or alone where speed
-is all.
+The data as a matrix (pilots x symbols) by (receive x transmit elements) have the paths' outer products as
+their leading singular vectors. Shifts by one pilot and one symbol act on the left subspace, shifts between
+displaced subarrays on the right one; eigenvectors of a mixture of the shifts separate the paths on either
+side, and the core matrix pairs the sides. No search, but a subspace stands out of the noise only above
+``sqrt(rows) + sqrt(columns)``: it needs some 20 dB more than a matched filter. Use it as a start at high SNR,
+or alone where speed is all.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from .refine import linearize
 
 @dataclass(frozen=True, eq=False)
 class Esprit(Nomp):
-    """ESPRIT with the parameters of :class:`~estimation.Nomp`; ``refine`` adds its joint Levenberg-Marquardt fit and elimination."""
+    """ESPRIT with the parameters of :class:`~estimation.Nomp`; ``refine`` adds its joint Levenberg-Marquardt
+    fit and elimination.
+    """
 
     refine: bool = True
 
@@ -59,9 +62,7 @@ class Esprit(Nomp):
         pilots, symbols, ports, elements = self.model.shape
         matrix = signal.reshape(pilots * symbols, ports * elements)
         rows, columns = matrix.shape
-        most = max(
-            min(self.max_paths, pilots * (symbols - 1) - 1, (pilots - 1) * symbols - 1, columns - 1), 1
-        )
+        most = max(min(self.max_paths, pilots * (symbols - 1) - 1, (pilots - 1) * symbols - 1, columns - 1), 1)
         left, values, right = leading(matrix, most)
         energy = float(np.vdot(matrix, matrix).real)
         variance = noise_variance if noise_variance is not None else energy / matrix.size
@@ -108,13 +109,9 @@ class Esprit(Nomp):
             sides.append((vectors, roots))
         (left_vectors, left_roots), (right_vectors, right_roots) = sides
         # Y = L S R^H with L = A_l V_l^-1 and so on: the paired core is a permuted diagonal.
-        core = np.linalg.solve(
-            left_vectors, np.linalg.solve(right_vectors, np.diag(np.sqrt(values[:count]))).T
-        )
+        core = np.linalg.solve(left_vectors, np.linalg.solve(right_vectors, np.diag(np.sqrt(values[:count]))).T)
         strength = (
-            np.abs(core)
-            * np.linalg.norm(left @ left_vectors, axis=0)[:, None]
-            * np.linalg.norm(right_vectors, axis=0)
+            np.abs(core) * np.linalg.norm(left @ left_vectors, axis=0)[:, None] * np.linalg.norm(right_vectors, axis=0)
         )
         row, column = linear_sum_assignment(-strength)
         delay = np.mod(-np.angle(left_roots[0][row]) / (2 * np.pi * delay_shift), 1 / delay_shift)
@@ -127,7 +124,9 @@ class Esprit(Nomp):
 
 
 def leading(matrix, count: int, surplus: int = 8, iterations: int = 3):
-    """The ``count`` leading singular triplets (left (m, c), values (c,), right (n, c)) by randomized subspace iteration."""
+    """The ``count`` leading singular triplets (left (m, c), values (c,), right (n, c)) by randomized subspace
+    iteration.
+    """
     rng = np.random.default_rng(0)
     width = min(count + surplus, min(matrix.shape))
     basis = (rng.standard_normal((matrix.shape[1], width)) + 0j).astype(matrix.dtype)
@@ -150,12 +149,7 @@ def shifts(estimator: Esprit):
     model = estimator.model
     times = np.diff(model.schedule.times)
     digital = model.schedule.precoders is None and model.schedule.combiners is None
-    if (
-        not digital
-        or model.waveform.spacing is None
-        or len(times) == 0
-        or np.ptp(times) > 1e-9 * abs(times[0])
-    ):
+    if not digital or model.waveform.spacing is None or len(times) == 0 or np.ptp(times) > 1e-9 * abs(times[0]):
         raise ModelError(
             "Esprit: it needs a fully digital link with uniform pilots and at least two uniformly spaced symbols"
         )

@@ -1,9 +1,11 @@
-"""Dictionaries of the coarse search: directions that cover an array's view evenly in its own resolution, delays and speeds."""
+"""Dictionaries of the coarse search: directions that cover an array's view evenly in its own resolution, delays
+and speeds.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 import scipy.fft
@@ -18,7 +20,8 @@ from ..signal.model import SignalModel
 class View:
     """Directions searched: azimuth and elevation ranges [rad] in the array's parent frame.
 
-    An azimuth range may pass +-pi (``azimuth=(3.0, 3.5)``). A planar array additionally sees only the half-space it faces.
+    An azimuth range may pass +-pi (``azimuth=(3.0, 3.5)``). A planar array additionally sees only the
+    half-space it faces.
     """
 
     azimuth: tuple[float, float] = (-np.pi, np.pi)
@@ -32,8 +35,14 @@ class View:
         return inside & (el >= self.elevation[0] - 1e-12) & (el <= self.elevation[1] + 1e-12)
 
 
+EVERYWHERE = View()
+"""The whole sphere."""
+
+
 def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float, float]:
-    """Evenly spread directions (n, 3) that ``array`` can tell apart within ``view``, and the solid angle they stand for [sr]."""
+    """Evenly spread directions (n, 3) that ``array`` can tell apart within ``view``, and the solid angle they
+    stand for [sr].
+    """
     azimuth, elevation = array.observable
     if azimuth and elevation:
         points = sphere(count)
@@ -60,7 +69,9 @@ def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float
 
 
 def cover(vectors: Complex, retained: float, limit: int = 2000):
-    """Indices of a subset such that every normalized vector keeps ``|inner product|^2 >= retained`` with one of it (farthest point first)."""
+    """Indices of a subset such that every normalized vector keeps ``|inner product|^2 >= retained`` with one
+    of it (farthest point first).
+    """
     unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
     chosen = [0]
     best = np.abs(unit @ unit[0].conj()) ** 2
@@ -74,7 +85,9 @@ def cover(vectors: Complex, retained: float, limit: int = 2000):
 def direction_grid(
     view: View, array: Manifold, retained: float, seen: Callable[[Complex], Complex] = lambda a: a
 ) -> Float:
-    """Directions (n, 3) covering ``view`` as seen through ``seen`` (beams, combiners), strongest array response first."""
+    """Directions (n, 3) covering ``view`` as seen through ``seen`` (beams, combiners), strongest array
+    response first.
+    """
     points, _ = directions_in(view, array)
     response = array.response(points)[0]
     if len(points) == 1:
@@ -94,7 +107,8 @@ class DelayGrid:
     delays : (L,) cell centers [s]
     length : FFT length, or 0 for the matrix
     matrix : (L, K) or None
-    tones : (K,) [Hz] the frequencies of the matched filter: up to a phase per cell, which does not matter, those of the pilots
+    tones : (K,) [Hz] the frequencies of the matched filter: up to a phase per cell, which does not matter,
+        those of the pilots
     """
 
     delays: Float

@@ -33,7 +33,8 @@ def row_peaks(values, out):
 def derotated(symbols, order, phase, cells, speeds, out):
     """Beams (pairs, Q) of chosen cell and speed pairs, coherent over the sweeps.
 
-    ``symbols`` (cells, 2N) and ``order`` (Q, 2B) hold real, then imaginary parts; ``phase`` (V, Q, B) complex64.
+    ``symbols`` (cells, 2N) and ``order`` (Q, 2B) hold real, then imaginary parts; ``phase`` (V, Q, B)
+    complex64.
     """
     beams, sweeps = phase.shape[1:]
     for pair in range(len(cells)):

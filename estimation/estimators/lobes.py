@@ -1,8 +1,8 @@
 """Which grid points lie in the same lobe of the ambiguity function.
 
-Two points share a lobe if they are close in the metric of the normalized information (a uniform aperture has its first null at 1.8).
-Mere coherence would let one grid point hide a different lobe, and the higher peak may be in that one: arrays of two rings, for
-instance, nearly confuse steep elevations above and below.
+Two points share a lobe if they are close in the metric of the normalized information (a uniform aperture has
+its first null at 1.8). Mere coherence would let one grid point hide a different lobe, and the higher peak may
+be in that one: arrays of two rings, for instance, nearly confuse steep elevations above and below.
 """
 
 from __future__ import annotations
@@ -37,9 +37,7 @@ class LobeMap:
     departures: Float
 
     @staticmethod
-    def build(
-        model: SignalModel, delays: Float, arrivals: Float, departures: Float, speeds: Float
-    ) -> LobeMap:
+    def build(model: SignalModel, delays: Float, arrivals: Float, departures: Float, speeds: Float) -> LobeMap:
         """Distances for the cells of a search."""
 
         def distances(grid: Float, part: slice, end: str) -> Float:
@@ -62,7 +60,9 @@ class LobeMap:
         return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure)
 
     def first_of_each(self, delay, arrival, departure, speed, count: int):
-        """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are grid indices (P,)."""
+        """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are
+        grid indices (P,).
+        """
         tau, rate = self.delays[delay], self.speeds[speed]
         left = np.ones(len(tau), bool)
         kept: list[int] = []

@@ -1,8 +1,10 @@
-"""NOMP: greedy search on a dictionary, joint refinement, likelihood-ratio stop, backward elimination. The default estimator.
+"""NOMP: greedy search on a dictionary, joint refinement, likelihood-ratio stop, backward elimination. The
+default estimator.
 
-One pass: search the residual, refine the candidates each alone, accept those above the threshold, refine all paths jointly until the
-likelihood stops growing. No new path is looked for before the joint fit has converged, since a path added to an unconverged fit ends in a
-wrong local optimum. After the last pass every component must be worth its threshold against a refitted model without it.
+One pass: search the residual, refine the candidates each alone, accept those above the threshold, refine all
+paths jointly until the likelihood stops growing. No new path is looked for before the joint fit has
+converged, since a path added to an unconverged fit ends in a wrong local optimum. After the last pass every
+component must be worth its threshold against a refitted model without it.
 """
 
 from __future__ import annotations
@@ -16,13 +18,13 @@ from ..detections import Detections
 from ..errors import ModelError
 from ..signal.algebra import coherence, signal_of, weighted_blocks
 from ..signal.model import SignalModel
-from ..signal.paths import Geometry, PathTable
 from ..signal.noise import white_noise
+from ..signal.paths import Geometry, PathTable
 from . import report
 from .dense import DenseSearch
-from .detect import effective_volume, search_volume, threshold_for
+from .detect import calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
-from .grids import View, directions_in
+from .grids import EVERYWHERE, View, directions_in
 from .polish import separate_fit
 from .projector import Projector, delay_basis
 from .refine import Linearization, joint_fit, linearize
@@ -40,9 +42,11 @@ class Nomp:
     max_delay : longest delay searched [s]; default: the unambiguous range
     max_speed : largest |radial velocity| searched [m/s]
     arrival_view, departure_view : directions searched, in the arrays' parent frames
-    dynamic_range : several peaks are accepted in one pass only within this ratio of the strongest [dB]; sidelobes lie below
+    dynamic_range : several peaks are accepted in one pass only within this ratio of the strongest [dB];
+        sidelobes lie below
     max_paths : give up looking for more
-    calibration : noise-only searches that measure the effective search volume when the estimator is made; 0 trusts Rice's formula
+    calibration : noise-only searches that measure the effective search volume when the estimator is made; 0
+        trusts Rice's formula
     threshold : fixed threshold on rho instead of a false-alarm rate
     dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it
     """
@@ -51,8 +55,8 @@ class Nomp:
     false_alarm_rate: float = 0.01
     max_delay: float | None = None
     max_speed: float = 25.0
-    arrival_view: View = View()
-    departure_view: View = View()
+    arrival_view: View = EVERYWHERE
+    departure_view: View = EVERYWHERE
     dynamic_range: float = 10.0
     max_paths: int = 40
     calibration: int = 24
@@ -68,7 +72,8 @@ class Nomp:
         longest = period if self.max_delay is None else self.max_delay
         if not 0 <= longest <= period * (1 + 1e-9):
             raise ModelError(
-                f"Nomp: max_delay {longest:.3e} s must lie between 0 and the unambiguous {period:.3e} s of the pilot spacing"
+                f"Nomp: max_delay {longest:.3e} s must lie between 0 and the unambiguous {period:.3e} "
+                "s of the pilot spacing"
             )
         if not (np.isfinite(self.max_speed) and self.max_speed >= 0):
             raise ModelError(f"Nomp: max_speed must be finite and not negative, got {self.max_speed} m/s")
@@ -93,12 +98,10 @@ class Nomp:
         object.__setattr__(self, "volume", volume)
         if self.calibration and self.threshold is None:
             object.__setattr__(
-                self, "volume", effective_volume(self.suprema(self.calibration), self.parameters)
+                self, "volume", calibrated_volume(self.suprema(self.calibration), volume, self.parameters)
             )
         if self.threshold is None:
-            object.__setattr__(
-                self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters)
-            )
+            object.__setattr__(self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters))
 
     @property
     def parameters(self) -> int:
@@ -141,7 +144,8 @@ class Nomp:
             return self._reported(*self._search_all(self.model, white, start, noise_variance))
         model = self.model
         for inflation in (10.0, 1.0):
-            # First only what stands out clearly, lest false paths carry off the dense multipath that is to be measured.
+            # First only what stands out clearly, lest false paths carry off the dense multipath
+            # that is to be measured.
             _, lin, _ = self._search_all(model, white, start, noise_variance, inflation)
             residual = white if lin is None else white - signal_of(model, lin.blocks, lin.gain)
             model = replace(self.model, pilot_covariance=pilot_covariance(residual, model.waveform))
@@ -199,10 +203,10 @@ class Nomp:
         lin = start if isinstance(start, Linearization) else linearize(data, start)
         return joint_fit(data, lin, noise.variance(lin), tolerance)
 
-    def _candidates(
-        self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort
-    ):
-        """Refined candidates in a filtered residual (the paths ``lin`` are out of it) and their statistics, strongest first."""
+    def _candidates(self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort):
+        """Refined candidates in a filtered residual (the paths ``lin`` are out of it) and their statistics,
+        strongest first.
+        """
         model = data.model
         scaled = residual
         if model.weight is not None:
@@ -213,12 +217,8 @@ class Nomp:
         if not len(points):
             return points, np.zeros(0)
         interest = np.inf if self.threshold is None else self.threshold * variance
-        points, energies = separate_fit(
-            self._search.projector(data, residual, lin, points), points, variance, interest
-        )
-        significant = np.flatnonzero(
-            energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max())
-        )
+        points, energies = separate_fit(self._search.projector(data, residual, lin, points), points, variance, interest)
+        significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
         if len(significant):
             significant = significant[lone(model, points.take(significant), energies[significant])]
             peaks = points.take(significant)
@@ -245,10 +245,9 @@ class Nomp:
             return found.take(strong), False
         overlap = coherence(model, found)
         taken = strong[distinct(overlap[np.ix_(strong, strong)], statistic[strong], len(strong), limit=0.25)]
-        # Another peak may rise above the threshold once a path it overlaps with is gone; coherence near one is the same peak.
-        leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(
-            axis=1
-        )
+        # Another peak may rise above the threshold once a path it overlaps with is gone; coherence
+        # near one is the same peak.
+        leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(axis=1)
         leak[taken] = -np.inf
         # A strong path keeps weak ones off the list of candidates altogether.
         crowded = statistic[0] > 10 * self.threshold or statistic[-1] > self.threshold
@@ -266,7 +265,9 @@ class Nomp:
         return None
 
     def _pruned(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
-        """Backward elimination against re-optimized models: a component's worth at fixed frequencies is not enough for close pairs."""
+        """Backward elimination against re-optimized models: a component's worth at fixed frequencies is not
+        enough for close pairs.
+        """
         while lin is not None:
             smaller = self._smaller(data, lin, noise)
             if smaller is None:
@@ -297,7 +298,8 @@ def search_kind(model: SignalModel) -> type[StagedSearch] | type[DenseSearch]:
     if model.schedule.combiners is None:
         return DenseSearch
     raise ModelError(
-        "Nomp: no coarse search exists for combiners with a digital transmitter; give the schedule precoders, or combine digitally"
+        "Nomp: no coarse search exists for combiners with a digital transmitter; give the schedule "
+        "precoders, or combine digitally"
     )
 
 
@@ -312,7 +314,9 @@ LEAST_NOISE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Energy and number of samples of a burst, the noise variance if it is known, and a factor on it where caution is due."""
+    """Energy and number of samples of a burst, the noise variance if it is known, and a factor on it where
+    caution is due.
+    """
 
     energy: float
     samples: int

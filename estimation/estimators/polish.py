@@ -1,8 +1,9 @@
 """From grid points to peaks: every candidate refined alone, in the matched-filter cells around its delay.
 
-A delay vector between two cells is a combination of the matched filters of its neighbors, so that the filtered residual already holds all
-that is needed and no pass over the data is due. Eight neighbors leave out about a thousandth; decisions near the threshold do not notice,
-and the joint fit works on the data themselves.
+A delay vector between two cells is a combination of the matched filters of its neighbors, so that the
+filtered residual already holds all that is needed and no pass over the data is due. Eight neighbors leave out
+about a thousandth; decisions near the threshold do not notice, and the joint fit works on the data
+themselves.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ NEIGHBORS = 8
 
 
 class CellProjector:
-    """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they started from."""
+    """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they
+    started from.
+    """
 
     def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float, gather=None) -> None:
         self.model, self.grid = model, grid
@@ -53,7 +56,9 @@ class CellProjector:
 
 
 class ResidualProjector:
-    """The same from the data, less the known paths by their Gram matrix: for searches that keep no delay cells."""
+    """The same from the data, less the known paths by their Gram matrix: for searches that keep no delay
+    cells.
+    """
 
     def __init__(self, data: Projector, known: Linearization | None) -> None:
         self.model, self.data, self.known = data.model, data, known
@@ -77,14 +82,14 @@ def separate_fit(
 ) -> tuple[Geometry, Float]:
     """Levenberg-Marquardt of P candidates, each alone in the residual.
 
-    Candidates whose predicted gain in log-likelihood falls below ``tolerance`` stop; so do those that after two steps are still
+    Candidates whose predicted gain in log-likelihood falls below ``tolerance`` stop; so do those that after
+    two steps are still
     below half of the best and of ``interest`` (an energy), since no further step will make them win.
 
     Returns
     -------
     geometry, energy : refined candidates and their ``|<s, r>|^2 / |s|^2`` (P,)
     """
-    model = data.model
     count = len(geometry)
     vectors = [np.array(a) for a in (geometry.delay, geometry.arrival, geometry.departure, geometry.speed)]
     energy = np.zeros(count)

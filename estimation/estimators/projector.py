@@ -1,8 +1,9 @@
 """Inner products of path signatures with the data, cheap to repeat.
 
-A refinement evaluates the same few paths many times at slightly different delays. Over a window of about one delay bin the delay vectors
-span only a handful of dimensions, so the data are compressed once per window, ``Z = U^H Y`` (r, rest), and every later inner product works
-on Z instead of Y. Windows are kept for the whole burst: a path that stays within one costs nothing more.
+A refinement evaluates the same few paths many times at slightly different delays. Over a window of about one
+delay bin the delay vectors span only a handful of dimensions, so the data are compressed once per window, ``Z
+= U^H Y`` (r, rest), and every later inner product works on Z instead of Y. Windows are kept for the whole
+burst: a path that stays within one costs nothing more.
 """
 
 from __future__ import annotations
@@ -59,22 +60,20 @@ class Projector:
         if fresh:
             centers = self._centers[fresh]
             vectors = np.exp(-2j * np.pi * np.outer(centers, self.model.waveform.frequencies))
-            matrix = (
-                (vectors[:, None] * self._basis.T).conj().reshape(-1, vectors.shape[1]).astype(np.complex64)
-            )
+            matrix = (vectors[:, None] * self._basis.T).conj().reshape(-1, vectors.shape[1]).astype(np.complex64)
             block = matrix @ self.signal.reshape(len(self.signal), -1)
             self._windows.extend(block.reshape(len(fresh), self._basis.shape[1], -1))
         return window
 
 
 def delay_basis(model: SignalModel):
-    """Orthonormal basis (K, r) of the delay vectors within the half width of 0, or None where compression does not pay."""
+    """Orthonormal basis (K, r) of the delay vectors within the half width of 0, or None where compression
+    does not pay.
+    """
     waveform = model.waveform
     if model.subbands > 1 or waveform.subcarriers < 24:
         return None
     offset = np.linspace(-1, 1, 81) * HALF_WIDTH / waveform.bandwidth
-    left, values, _ = np.linalg.svd(
-        np.exp(-2j * np.pi * np.outer(waveform.frequencies, offset)), full_matrices=False
-    )
+    left, values, _ = np.linalg.svd(np.exp(-2j * np.pi * np.outer(waveform.frequencies, offset)), full_matrices=False)
     rank = int(np.sum(values > ACCURACY * values[0]))
     return left[:, :rank]

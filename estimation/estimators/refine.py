@@ -1,9 +1,11 @@
-"""Maximum-likelihood refinement: Levenberg-Marquardt with the gains eliminated (variable projection), jointly over all paths.
+"""Maximum-likelihood refinement: Levenberg-Marquardt with the gains eliminated (variable projection), jointly
+over all paths.
 
-For whitened data the log-likelihood, with gains at their optimum, is ``b^H G^-1 b / sigma^2`` (``b`` projections on the signatures, ``G``
-their Gram matrix). Gradient and Gauss-Newton matrix follow from projections and Gram matrices only, so that an iteration costs
-one pass over the data. Steps are bounded in the metric of each path's own normalized Fisher information, which knows the width of
-the ambiguity function in every direction, whatever array it comes from.
+For whitened data the log-likelihood, with gains at their optimum, is ``b^H G^-1 b / sigma^2`` (``b``
+projections on the signatures, ``G`` their Gram matrix). Gradient and Gauss-Newton matrix follow from
+projections and Gram matrices only, so that an iteration costs one pass over the data. Steps are bounded in
+the metric of each path's own normalized Fisher information, which knows the width of the ambiguity function
+in every direction, whatever array it comes from.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ class Linearization:
 
     @property
     def drop(self) -> Float:
-        """(P,) energy lost when a path is removed without changing the others' parameters: ``|g|^2 / [G^-1]_pp``."""
+        """(P,) energy lost when a path is removed without changing the others' parameters: ``|g|^2 /
+        [G^-1]_pp``.
+        """
         inverse = np.linalg.inv(self.gram[:, 0, :, 0])
         return np.abs(self.gain) ** 2 / np.maximum(np.diag(inverse).real, 1e-300)
 
@@ -67,9 +71,7 @@ def information(lin: Linearization, active) -> Float:
     plain = lin.gram[:, 0, :, 0]
     mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
     weight = np.repeat(lin.gain, 6)
-    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(
-        plain, mixed
-    )
+    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(plain, mixed)
     matrix = np.real(weight.conj()[:, None] * full * weight)
     idle = np.tile(~np.asarray(active), paths)
     matrix[idle], matrix[:, idle] = 0.0, 0.0
@@ -77,7 +79,9 @@ def information(lin: Linearization, active) -> Float:
 
 
 def metric(grams, active) -> Float:
-    """Normalized information (..., 6, 6) of isolated paths from their Gram matrices (..., 7, 7): the ambiguity function's curvature."""
+    """Normalized information (..., 6, 6) of isolated paths from their Gram matrices (..., 7, 7): the
+    ambiguity function's curvature.
+    """
     norm = grams[..., 0, 0].real[..., None, None]
     cross = grams[..., 1:, :1] @ grams[..., :1, 1:]
     matrix = np.real(grams[..., 1:, 1:] - cross / norm) / norm
@@ -97,7 +101,9 @@ def joint_fit(
     tolerance: float = 0.02,
     iterations: int = 30,
 ) -> Linearization:
-    """Joint Levenberg-Marquardt over all paths until the predicted gain in log-likelihood falls below ``tolerance``."""
+    """Joint Levenberg-Marquardt over all paths until the predicted gain in log-likelihood falls below
+    ``tolerance``.
+    """
     lin = start if isinstance(start, Linearization) else linearize(data, start)
     active = data.model.active
     damping = 1e-4
@@ -116,7 +122,8 @@ def joint_fit(
             break
         step = bounded(step.reshape(paths, 6), lengths, LARGEST_STEP)
         trial = linearize(data, lin.geometry.moved(step))
-        # Single-precision projections carry an error of about 1e-7 of the explained energy; it must not veto a good step.
+        # Single-precision projections carry an error of about 1e-7 of the explained energy; it must
+        # not veto a good step.
         if trial.explained >= lin.explained * (1 - 1e-6):
             lin, damping = trial, max(damping / 10, 1e-7)
         else:

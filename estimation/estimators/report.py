@@ -52,15 +52,17 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     overlap = coherence(model, geometry) - np.eye(len(snr))
     flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
     flags[snr < 1.41 * estimator.threshold] |= np.uint8(Flag.WEAK)
-    inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(
-        geometry.departure
-    )
+    inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(geometry.departure)
     inside &= model.receiver.faces(geometry.arrival) & model.transmitter.faces(geometry.departure)
     inside &= (np.abs(geometry.speed) <= estimator.max_speed) & (geometry.delay <= estimator.max_delay)
     flags[~inside] |= np.uint8(Flag.EDGE_OF_VIEW)
-    with np.errstate(invalid="ignore"):
-        wide = np.diagonal(covariance, axis1=1, axis2=2)[:, 1:5][:, model.active[1:5]]
-    flags[~(np.isfinite(wide).all(axis=1) & (wide < 1.0).all(axis=1))] |= np.uint8(Flag.SINGULAR)
+    std = np.sqrt(np.diagonal(tangent, axis1=1, axis2=2))
+    for column, vectors in ((1, geometry.arrival), (3, geometry.departure)):
+        # Within three standard deviations of a pole azimuth means nothing; otherwise a radian is too much.
+        distance = np.hypot(vectors[:, 0], vectors[:, 1])
+        for angle in (column, column + 1):
+            if model.active[angle]:
+                flags[(distance < 3 * std[:, angle]) | ~(std[:, angle] < 1.0)] |= np.uint8(Flag.SINGULAR)
     return Detections(
         table.delay,
         table.aoa,

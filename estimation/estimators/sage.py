@@ -1,9 +1,10 @@
 """SAGE: space-alternating generalized expectation maximization, the estimator paper B refers to.
 
 Started by successive interference cancellation with the same coarse search, threshold and elimination as
-:class:`~estimation.Nomp`; only the refinement differs. One cycle visits the paths in turn: the E-step gives a path what the others leave
-of the data, the M-step maximizes its likelihood coordinate by coordinate (delay, AOA, AOD, speed). It reaches the bound for separated paths,
-and needs ten times the cycles of a joint fit at half a bin and a hundred times below: kept as the reference, not the default.
+:class:`~estimation.Nomp`; only the refinement differs. One cycle visits the paths in turn: the E-step gives a
+path what the others leave of the data, the M-step maximizes its likelihood coordinate by coordinate (delay,
+AOA, AOD, speed). It reaches the bound for separated paths, and needs ten times the cycles of a joint fit at
+half a bin and a hundred times below: kept as the reference, not the default.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ COORDINATES = ((0,), (1, 2), (3, 4), (5,))
 
 @dataclass(frozen=True, eq=False)
 class Sage(Nomp):
-    """SAGE with the parameters of :class:`~estimation.Nomp`, and at most ``cycles`` of refinement after each new path."""
+    """SAGE with the parameters of :class:`~estimation.Nomp`, and at most ``cycles`` of refinement after each
+    new path.
+    """
 
     cycles: int = 20
 
@@ -44,7 +47,9 @@ class Sage(Nomp):
         return lin
 
     def _maximize(self, data: Projector, geometry: Geometry, gain, path: int) -> Geometry:
-        """One M-step: a Newton step in each coordinate of ``path`` in turn; ``gain`` (P,) is updated in place."""
+        """One M-step: a Newton step in each coordinate of ``path`` in turn; ``gain`` (P,) is updated in
+        place.
+        """
         model = data.model
         others = np.delete(np.arange(len(gain)), path)
         rest = model.evaluate(geometry.take(others)) if len(others) else None

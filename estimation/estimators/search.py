@@ -1,12 +1,16 @@
 """Coarse search of beam-swept links: a staged matched filter over delay x AOA x AOD x speed.
 
-The full grid of a swept link with cylindrical arrays has about 1e8 cells. Three stages narrow it down, none of them with a threshold:
+The full grid of a swept link with cylindrical arrays has about 1e8 cells. Three stages narrow it down, none
+of them with a threshold:
 
-1. energy (non-coherent over symbols) of every delay x AOA cell, from the receive covariance matrix per delay; the best cells stay;
-2. coherent over the sweeps, non-coherent over the beams, for every speed at those cells; the best cell-speed pairs stay;
+1. energy (non-coherent over symbols) of every delay x AOA cell, from the receive covariance matrix per delay;
+the best cells stay;
+2. coherent over the sweeps, non-coherent over the beams, for every speed at those cells; the best cell-speed
+pairs stay;
 3. fully coherent over beams for every AOD.
 
-The decision is left to the likelihood ratio after refinement. Combiner settings held in turn by a beam act as further receive elements.
+The decision is left to the likelihood ratio after refinement. Combiner settings held in turn by a beam act as
+further receive elements.
 """
 
 from __future__ import annotations
@@ -35,7 +39,9 @@ CHUNK = 512
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much of the grid a search looks at: the most energetic delays (None: all), then cells, then cell-speed pairs."""
+    """How much of the grid a search looks at: the most energetic delays (None: all), then cells, then
+    cell-speed pairs.
+    """
 
     delays: int | None
     cells: int
@@ -53,10 +59,12 @@ class StagedSearch:
     arrivals, departures : (A, 3), (D, 3) direction cells
     speeds : (V,) [m/s]
     order : (Q, 2B) where the real, then the imaginary parts of the sweeps of each beam are found
-    gather : (N,) symbol order in which the combiner settings of a beam are adjacent, or None with a single setting
+    gather : (N,) symbol order in which the combiner settings of a beam are adjacent, or None with a single
+        setting
     arrival_vectors : (A, 2, 2 * S * M) unit-norm receive responses, conjugated, as in :func:`real_rows`
     arrival_pairs : ((2 * S * M)^2, A) their outer products, in the real form of :func:`real_pairs`
-    departure_vectors : (2 * Q, 2 * D) unit-norm beam gains, conjugated, in the real form of :func:`real_product`
+    departure_vectors : (2 * Q, 2 * D) unit-norm beam gains, conjugated, in the real form of
+        :func:`real_product`
     derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, for stacked real and imaginary parts
     phase : (V, Q, B) the same as complex numbers
     lobes : tells which grid points belong together
@@ -113,9 +121,7 @@ class StagedSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform, schedule = model.waveform, model.schedule
         slots = schedule.slots()
-        delay = DelayGrid.build(
-            waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling
-        )
+        delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling)
         time = model.bands[0].modes[1]
         settings = [0] if schedule.combiners is None else list(schedule.combiner_index[slots[0, 0]])
 
@@ -123,9 +129,7 @@ class StagedSearch:
         book = schedule.precoders[schedule.precoder_index[slots[0, :, 0]]]
 
         def received(response):
-            return (
-                response if combiners is None else np.concatenate([response @ c.T for c in combiners], axis=1)
-            )
+            return response if combiners is None else np.concatenate([response @ c.T for c in combiners], axis=1)
 
         def sent(response):
             return response.conj() @ book.T
@@ -164,9 +168,7 @@ class StagedSearch:
         """Matched filter of a whitened signal over the delay cells (L, snapshots, elements)."""
         if self.gather is not None:
             signal = signal[:, self.gather]
-        return self.delay.apply(signal.reshape(len(signal), -1)).reshape(
-            len(self.delay.delays), self.snapshots, -1
-        )
+        return self.delay.apply(signal.reshape(len(signal), -1)).reshape(len(self.delay.delays), self.snapshots, -1)
 
     def without(self, filtered, blocks: Blocks, gain):
         """The filtered signal less that of given paths (a new array)."""
@@ -192,7 +194,8 @@ class StagedSearch:
         delay, arrival, symbols = self._cells(filtered, effort.cells)
         cell, speed, beams = self._pairs(symbols, effort.pairs)
         best = largest(self._departures(beams), 8 * effort.candidates)
-        # All AODs of the best pairs compete again: a pair's second-best beam may be the true one where an array has near-ambiguities.
+        # All AODs of the best pairs compete again: a pair's second-best beam may be the true one
+        # where an array has near-ambiguities.
         part = beams[best].view(np.float32) @ self.departure_vectors
         power = part[:, : len(self.departures)] ** 2 + part[:, len(self.departures) :] ** 2
         row, departure = np.unravel_index(largest(power.ravel(), 24 * effort.candidates), power.shape)
@@ -205,12 +208,12 @@ class StagedSearch:
             self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
         )
 
-    def alternatives(
-        self, model: SignalModel, cells: CellProjector, found: Geometry, energy: Float
-    ) -> Geometry:
-        """Directions in other lobes that could explain found peaks about as well, at the same delay and speed.
+    def alternatives(self, model: SignalModel, cells: CellProjector, found: Geometry, energy: Float) -> Geometry:
+        """Directions in other lobes that could explain found peaks about as well, at the same delay and
+        speed.
 
-        An array's near-ambiguity (two rings, for instance, nearly confuse steep elevations above and below) may give the wrong lobe
+        An array's near-ambiguity (two rings, for instance, nearly confuse steep elevations above and below)
+        may give the wrong lobe
         the better grid point; the peaks themselves must decide.
         """
         blocks = model.evaluate(found)[0]
@@ -237,9 +240,7 @@ class StagedSearch:
             ),
             ("arrival", ports, self.received(model.receiver.response(self.arrivals)[0]), self.arrivals, sent),
         ):
-            power = np.abs(values @ vectors.conj().T) ** 2 / np.maximum(
-                np.sum(np.abs(vectors) ** 2, axis=1), 1e-300
-            )
+            power = np.abs(values @ vectors.conj().T) ** 2 / np.maximum(np.sum(np.abs(vectors) ** 2, axis=1), 1e-300)
             power /= scale * np.sum(np.abs(squared) ** 2, axis=1)[:, None]
             nearest = np.argmax(getattr(found, end) @ grid.T, axis=1)
             table = self.lobes.departures if end == "departure" else self.lobes.arrivals
@@ -259,7 +260,9 @@ class StagedSearch:
         return response.conj() @ self.precoders.T
 
     def _cells(self, filtered, keep: int):
-        """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, 2N): real, then imaginary parts."""
+        """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, 2N): real,
+        then imaginary parts.
+        """
         # All products of real and imaginary parts; the energy Re(a^H R a) of every cell is linear in them.
         parts = filtered.view(np.float32)
         products = np.matmul(parts.swapaxes(1, 2), parts).reshape(len(filtered), -1)
@@ -302,7 +305,9 @@ class StagedSearch:
 
 
 def real_product(matrix):
-    """Real form (2n, 2m) of a complex matrix (n, m): interleaved complex rows times it give real, then imaginary parts."""
+    """Real form (2n, 2m) of a complex matrix (n, m): interleaved complex rows times it give real, then
+    imaginary parts.
+    """
     rows = np.empty((2 * matrix.shape[0], 2 * matrix.shape[1]), np.float32)
     rows[0::2] = np.concatenate([matrix.real, matrix.imag], axis=1)
     rows[1::2] = np.concatenate([-matrix.imag, matrix.real], axis=1)
@@ -316,14 +321,18 @@ def stacked_product(matrix):
 
 
 def real_rows(matrix):
-    """Real form (m, 2, 2n) of the columns of (n, m): times interleaved complex columns they give real and imaginary parts."""
+    """Real form (m, 2, 2n) of the columns of (n, m): times interleaved complex columns they give real and
+    imaginary parts.
+    """
     count = matrix.shape[1]
     both = real_product(matrix)
     return np.ascontiguousarray(np.stack([both[:, :count].T, both[:, count:].T], axis=1))
 
 
 def real_pairs(vectors):
-    """Weights ((2M)^2, A) that make ``|sum_m conj(a_m) x_m|^2`` of unit vectors (M, A) from all products of interleaved parts of x."""
+    """Weights ((2M)^2, A) that make ``|sum_m conj(a_m) x_m|^2`` of unit vectors (M, A) from all products of
+    interleaved parts of x.
+    """
     columns = real_product(vectors.conj())
     count = vectors.shape[1]
     real, imag = columns[:, :count], columns[:, count:]
@@ -338,9 +347,11 @@ def largest(values, count: int):
 
 
 def distinct(overlap, energy, count: int, limit: float):
-    """Indices of up to ``count`` points, strongest first, whose signatures are less than ``limit`` coherent with all kept before.
+    """Indices of up to ``count`` points, strongest first, whose signatures are less than ``limit`` coherent
+    with all kept before.
 
-    Coherence ``overlap`` (P, P) rather than distance in the parameters: it knows about endfire aliases and any array's ambiguities.
+    Coherence ``overlap`` (P, P) rather than distance in the parameters: it knows about endfire aliases and
+    any array's ambiguities.
     """
     kept: list[int] = []
     for index in np.argsort(energy)[::-1]:

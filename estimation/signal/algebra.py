@@ -1,6 +1,7 @@
 """Linear algebra of path signatures, generic over modes: synthesis, projections and Gram matrices.
 
-Index 0 of the axes of length 7 is the signature itself, 1..6 its derivative along the six parameters (directions by tangents).
+Index 0 of the axes of length 7 is the signature itself, 1..6 its derivative along the six parameters
+(directions by tangents).
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ def signal_of(model: SignalModel, blocks: Blocks, gain: Complex) -> np.typing.ND
 
 
 def add_signal(model: SignalModel, blocks: Blocks, gain: Complex, out):
-    """Add the paths' signal to ``out`` (model.shape, complex64, contiguous) in place: Khatri-Rao halves and one product per band."""
+    """Add the paths' signal to ``out`` (model.shape, complex64, contiguous) in place: Khatri-Rao halves and
+    one product per band.
+    """
     for band, modes in zip(model.bands, blocks, strict=True):
         left = (modes[0][:, 0] * gain[:, None]).astype(np.complex64)
         right = modes[1][:, 0].astype(np.complex64)
@@ -48,7 +51,9 @@ def _project_band(model: SignalModel, data: Complex, modes: list[Complex], band:
 
 
 def project_rest(model: SignalModel, partial: Complex, modes: list[Complex], band: Band) -> Complex:
-    """Finish a projection (P, 7) whose first mode is contracted already, ``partial`` (P, 2, product of the other modes)."""
+    """Finish a projection (P, 7) whose first mode is contracted already, ``partial`` (P, 2, product of the
+    other modes).
+    """
     paths = len(partial)
     partial = partial.reshape(paths, 2, *(mode.size for mode in band.modes[1:]))
     # Contract the remaining modes from the last to the first, keeping a derivative axis for each.
@@ -62,9 +67,11 @@ def project_rest(model: SignalModel, partial: Complex, modes: list[Complex], ban
 
 
 def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain: bool = False) -> Complex:
-    """Gram matrix (P, 7, P', 7) of signatures and derivatives, ``<d_a s_p, C^-1 d_b s_q>``, a Hadamard product over modes.
+    """Gram matrix (P, 7, P', 7) of signatures and derivatives, ``<d_a s_p, C^-1 d_b s_q>``, a Hadamard
+    product over modes.
 
-    ``C`` is the noise covariance over the pilots, if the model has one. With ``plain`` the others enter without derivatives: (P, 7, P', 1).
+    ``C`` is the noise covariance over the pilots, if the model has one. With ``plain`` the others enter
+    without derivatives: (P, 7, P', 1).
     """
     columns = model.columns
     others_columns = np.zeros((len(columns), 1), int) if plain else columns

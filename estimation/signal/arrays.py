@@ -1,12 +1,12 @@
 """Antenna arrays: any element positions, element patterns and an orientation.
 
-The response of element ``m`` to a wave from (or towards) the direction ``u`` is
-``a_m(u) = g_m(u) exp(+j 2 pi p_m . u)`` with its position ``p_m`` in carrier wavelengths and its complex pattern ``g_m``.
-Eq. (2) of paper A uses ``a_R`` at the receiver and ``a_T^H`` at the transmitter. One polarization: patterns are scalar, and the
-polarimetric transfer of a path is part of its complex gain.
+The response of element ``m`` to a wave from (or towards) the direction ``u`` is ``a_m(u) = g_m(u) exp(+j 2 pi
+p_m . u)`` with its position ``p_m`` in carrier wavelengths and its complex pattern ``g_m``. Eq. (2) of paper
+A uses ``a_R`` at the receiver and ``a_T^H`` at the transmitter. One polarization: patterns are scalar, and
+the polarimetric transfer of a path is part of its complex gain.
 
-Directions are given in the array's *parent* frame: the frame in which an estimator reports azimuth and elevation. ``orientation``
-rotates the array's body (positions and pattern) into it.
+Directions are given in the array's *parent* frame: the frame in which an estimator reports azimuth and
+elevation. ``orientation`` rotates the array's body (positions and pattern) into it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class Pattern(Protocol):
 
 @runtime_checkable
 class Manifold(Protocol):
-    """What a signal model needs of an antenna array (:class:`Array`, or a measured one: :class:`~estimation.EadfArray`)."""
+    """What a signal model needs of an antenna array (:class:`Array`, or a measured one:
+    :class:`~estimation.EadfArray`).
+    """
 
     @property
     def elements(self) -> int:
@@ -50,10 +52,10 @@ class Manifold(Protocol):
         """Whether azimuth and elevation can be told at all from the element phases."""
         ...
 
-    def response(
-        self, directions: Float, tangents: Float | None = None, scale: float = 1.0
-    ) -> tuple[Complex, Complex]:
-        """Steering vectors (P, M) and their derivatives (P, 2, M) along the tangents, at ``scale`` times the carrier."""
+    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
+        """Steering vectors (P, M) and their derivatives (P, 2, M) along the tangents, at ``scale`` times the
+        carrier.
+        """
         ...
 
     def faces(self, directions: Float) -> np.typing.NDArray[np.bool_]:
@@ -80,12 +82,7 @@ class Array:
 
     def __post_init__(self) -> None:
         positions = np.atleast_2d(np.asarray(self.positions, float))
-        if (
-            positions.ndim != 2
-            or positions.shape[1] != 3
-            or not positions.size
-            or not np.isfinite(positions).all()
-        ):
+        if positions.ndim != 2 or positions.shape[1] != 3 or not positions.size or not np.isfinite(positions).all():
             raise ModelError(
                 f"Array: positions must be finite and of shape (M, 3) in wavelengths, got shape {positions.shape}"
             )
@@ -106,7 +103,9 @@ class Array:
 
     @property
     def observable(self) -> tuple[bool, bool]:
-        """Whether azimuth and elevation can be told: a linear array along z gives elevation only, any other line azimuth only."""
+        """Whether azimuth and elevation can be told: a linear array along z gives elevation only, any other
+        line azimuth only.
+        """
         if self._rank == 0:
             return False, False
         if self._rank == 1:
@@ -125,10 +124,10 @@ class Array:
         """Responses (P, M) towards unit vectors (P, 3), at ``scale`` times the carrier frequency."""
         return self.response(directions, None, scale)[0]
 
-    def response(
-        self, directions: Float, tangents: Float | None = None, scale: float = 1.0
-    ) -> tuple[Complex, Complex]:
-        """Steering vectors (P, M), and their derivatives (P, 2, M) along the tangents (P, 2, 3) if these are given."""
+    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
+        """Steering vectors (P, M), and their derivatives (P, 2, M) along the tangents (P, 2, 3) if these are
+        given.
+        """
         body = self._to_body(directions)
         phase = np.exp(2j * np.pi * scale * (body @ self.positions.T))
         gain = np.ones((1, 1)) if self.pattern is None else self.pattern.gain(body)
@@ -150,23 +149,27 @@ class Array:
 
 
 def ula(count: int, spacing: float = 0.5, **options) -> Array:
-    """Uniform linear array along y, ``spacing`` in wavelengths; it tells azimuth only (elevation is taken as 0)."""
+    """Uniform linear array along y, ``spacing`` in wavelengths; it tells azimuth only (elevation is taken as
+    0).
+    """
     y = spacing * (np.arange(count) - (count - 1) / 2)
     return Array(np.stack([0 * y, y, 0 * y], axis=1), **options)
 
 
 def ura(rows: int, columns: int, spacing: float = 0.5, **options) -> Array:
-    """Uniform rectangular array in the y-z plane facing +x: ``rows`` along z, ``columns`` along y; element = row * columns + column."""
-    z, y = np.meshgrid(
-        np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij"
-    )
+    """Uniform rectangular array in the y-z plane facing +x: ``rows`` along z, ``columns`` along y; element =
+    row * columns + column.
+    """
+    z, y = np.meshgrid(np.arange(rows) - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2, indexing="ij")
     return Array(spacing * np.stack([0 * y, y, z], axis=-1).reshape(-1, 3), **options)
 
 
 def cylinder(columns: int, rings: int, radius: float | None = None, spacing: float = 0.5, **options) -> Array:
-    """Cylindrical array around z: ``columns`` round each of ``rings`` circles; element = ring * columns + column.
+    """Cylindrical array around z: ``columns`` round each of ``rings`` circles; element = ring * columns +
+    column.
 
-    ``spacing`` [wavelengths] is the chord between neighboring columns (unless ``radius`` is given) and the height between rings.
+    ``spacing`` [wavelengths] is the chord between neighboring columns (unless ``radius`` is given) and the
+    height between rings.
     Sixteen columns give a radius of 1.281, eight one of 0.653 wavelengths.
     """
     if radius is None:

@@ -1,8 +1,8 @@
 """Directions: angles, unit vectors and the tangent coordinates in which directions are refined.
 
-Azimuth ``az = atan2(y, x)``, elevation ``el = asin(z)`` [rad] of a unit vector. Small displacements are expressed along the
-orthonormal tangents ``e_az`` and ``e_el``, so that ``d u = e_az d1 + e_el d2`` with ``d1 = cos(el) d az`` and ``d2 = d el``: unlike
-azimuth itself they stay regular at the poles.
+Azimuth ``az = atan2(y, x)``, elevation ``el = asin(z)`` [rad] of a unit vector. Small displacements are
+expressed along the orthonormal tangents ``e_az`` and ``e_el``, so that ``d u = e_az d1 + e_el d2`` with ``d1
+= cos(el) d az`` and ``d2 = d el``: unlike azimuth itself they stay regular at the poles.
 """
 
 from __future__ import annotations

@@ -1,16 +1,18 @@
 """The signal model of eq. (2) of paper A as a product of modes: one code path for every architecture.
 
-``Y[k, n, ...] = sum_i g_i W_n^H a_R(aoa_i) a_T^H(aod_i) p_n exp(-j 2 pi f_k tau_i) exp(+j 2 pi t_n d_i / lambda) + W_n^H n``
+``Y[k, n, ...] = sum_i g_i W_n^H a_R(aoa_i) a_T^H(aod_i) p_n exp(-j 2 pi f_k tau_i) exp(+j 2 pi t_n d_i /
+lambda) + W_n^H n``
 
-Inside, the data are whitened (``W_n^H W_n = L L^H``, ``y <- L^-1 y``), so that all estimators see white noise. With ``subbands > 1``
-array and Doppler phases are scaled by ``1 + f/f_c`` per sub-band of pilots, which models beam squint and range migration; 1 is
-eq. (2) as printed.
+Inside, the data are whitened (``W_n^H W_n = L L^H``, ``y <- L^-1 y``), so that all estimators see white
+noise. With ``subbands > 1`` array and Doppler phases are scaled by ``1 + f/f_c`` per sub-band of pilots,
+which models beam squint and range migration; 1 is eq. (2) as printed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,7 +27,9 @@ from .waveform import Waveform
 
 @dataclass(frozen=True)
 class Band:
-    """A contiguous block of pilots with its own frequency scale (the only band of a narrowband model is the whole)."""
+    """A contiguous block of pilots with its own frequency scale (the only band of a narrowband model is the
+    whole).
+    """
 
     pilots: slice
     scale: float
@@ -41,7 +45,8 @@ class SignalModel:
     waveform, schedule : pilots over frequency and time
     transmitter, receiver : arrays; AOD and AOA are measured in their parent frames
     subbands : number of sub-bands with their own steering (1: eq. (2) as printed)
-    pilot_covariance : (K, K) noise covariance over the pilots in units of the noise variance, equal for all symbols and ports (dense
+    pilot_covariance : (K, K) noise covariance over the pilots in units of the noise variance, equal for all
+        symbols and ports (dense
         multipath); None for white noise
     """
 
@@ -64,14 +69,13 @@ class SignalModel:
                 )
         if not 1 <= self.subbands <= self.waveform.subcarriers:
             raise ModelError(
-                f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} subcarriers, got {self.subbands}"
+                f"SignalModel: subbands must lie between 1 and {self.waveform.subcarriers} "
+                f"subcarriers, got {self.subbands}"
             )
         if self.pilot_covariance is not None:
             size = self.waveform.subcarriers
             if self.pilot_covariance.shape != (size, size) or self.subbands > 1:
-                raise ModelError(
-                    f"SignalModel: pilot_covariance must be ({size}, {size}) and needs subbands=1"
-                )
+                raise ModelError(f"SignalModel: pilot_covariance must be ({size}, {size}) and needs subbands=1")
             self.pilot_factor  # noqa: B018  a singular covariance must fail here
         self._whitener  # noqa: B018  a singular combiner must fail here, not in a search
 
@@ -93,21 +97,17 @@ class SignalModel:
     def bands(self) -> tuple[Band, ...]:
         """The sub-bands with their modes."""
         edges = np.linspace(0, self.waveform.subcarriers, self.subbands + 1).round().astype(int)
-        blocks = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        blocks = [slice(a, b) for a, b in pairwise(edges)]
         frequencies = self.waveform.frequencies
         rest = self._other_modes()
-        scales = (
-            [1.0]
-            if self.subbands == 1
-            else [1 + frequencies[b].mean() / self.waveform.carrier for b in blocks]
-        )
-        return tuple(
-            Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True)
-        )
+        scales = [1.0] if self.subbands == 1 else [1 + frequencies[b].mean() / self.waveform.carrier for b in blocks]
+        return tuple(Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True))
 
     @cached_property
     def columns(self) -> np.typing.NDArray[np.intp]:
-        """(modes, 7) derivative column of each mode for (value, six parameters); 0 where a mode does not depend on it."""
+        """(modes, 7) derivative column of each mode for (value, six parameters); 0 where a mode does not
+        depend on it.
+        """
         modes = self.bands[0].modes
         columns = np.zeros((len(modes), 7), int)
         for row, mode in enumerate(modes):
@@ -188,7 +188,9 @@ class SignalModel:
         return np.einsum("nij,knj...->kni...", per_symbol, signal)
 
     def color(self, noise: Complex) -> Complex:
-        """White noise of the model's shape given the covariance ``W_n^H W_n``; a whitened signal likewise returns to its ports."""
+        """White noise of the model's shape given the covariance ``W_n^H W_n``; a whitened signal likewise
+        returns to its ports.
+        """
         if self.white:
             return noise
         per_symbol = np.linalg.inv(self._whitener).astype(noise.dtype)[self.schedule.combiner_index]
@@ -229,7 +231,9 @@ class SignalModel:
         return blocks
 
     def steps(self) -> Float:
-        """(6,) natural scales of the parameters: the reciprocal bandwidth [s], 1 rad over the apertures, wavelength over duration [m/s]."""
+        """(6,) natural scales of the parameters: the reciprocal bandwidth [s], 1 rad over the apertures,
+        wavelength over duration [m/s].
+        """
         duration = np.ptp(self.schedule.times) or 1.0
         angle = [
             1.0 / max(2 * np.ptp(getattr(a, "positions", np.zeros((1, 3))), axis=0).max(), 1.0)

@@ -1,9 +1,10 @@
 """Modes: the factors of a path's signature.
 
-The signature of a path is the outer product of one vector per mode of the data tensor. A mode may depend on several of the six
-parameters, and provides its vector and the derivatives in one block ``(P, 1 + c, n)``: the vector first, then one column for each
-of its ``parameters`` (indices into the common order, directions by their tangents). Everything else (synthesis, projections, Gram
-matrices, Fisher information) is generic over the list of modes.
+The signature of a path is the outer product of one vector per mode of the data tensor. A mode may depend on
+several of the six parameters, and provides its vector and the derivatives in one block ``(P, 1 + c, n)``: the
+vector first, then one column for each of its ``parameters`` (indices into the common order, directions by
+their tangents). Everything else (synthesis, projections, Gram matrices, Fisher information) is generic over
+the list of modes.
 
 | data                           | modes                                                       |
 |--------------------------------|-------------------------------------------------------------|
@@ -102,14 +103,16 @@ class TransmitMode:
 
 @dataclass(frozen=True, eq=False)
 class TimeMode:
-    """Doppler phase over the symbols, times beam gains ``a_T^H p_n``, times combiner outputs ``W_n^H a_R``, as far as present.
+    """Doppler phase over the symbols, times beam gains ``a_T^H p_n``, times combiner outputs ``W_n^H a_R``,
+    as far as present.
 
     Parameters
     ----------
     times : (N,) [s] from the burst center
     wavelength : carrier wavelength [m]
     transmitter, precoders, precoder_index : array, (Q, N_T) and (N,), or None
-    receiver, combiners, combiner_index : array, (S, M, N_R) already conjugate-transposed and whitened, and (N,), or None
+    receiver, combiners, combiner_index : array, (S, M, N_R) already conjugate-transposed and whitened, and
+        (N,), or None
     """
 
     times: Float

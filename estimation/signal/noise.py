@@ -1,8 +1,9 @@
 """Circular complex Gaussian noise, several times faster than a general-purpose generator.
 
-A counter is hashed into two words per sample (three rounds of a 32-bit finalizer under keys drawn from the caller's generator), and Box and
-Muller's transform turns them into a pair of normals; logarithm and sine are polynomials, so that whole vector registers work at a time.
-Reproducible: the noise is a function of the generator's state and the shape. Tails end at 6.7 standard deviations.
+A counter is hashed into two words per sample (three rounds of a 32-bit finalizer under keys drawn from the
+caller's generator), and Box and Muller's transform turns them into a pair of normals; logarithm and sine are
+polynomials, so that whole vector registers work at a time. Reproducible: the noise is a function of the
+generator's state and the shape. Tails end at 6.7 standard deviations.
 """
 
 from __future__ import annotations
@@ -14,9 +15,7 @@ from ..jit import compiled
 BLOCK = 1024
 
 
-def white_noise(
-    shape: tuple[int, ...], variance: float, rng: np.random.Generator
-) -> np.typing.NDArray[np.complex64]:
+def white_noise(shape: tuple[int, ...], variance: float, rng: np.random.Generator) -> np.typing.NDArray[np.complex64]:
     """Circular complex Gaussian noise of the given variance per sample, complex64."""
     out = np.empty(shape, np.complex64)
     if out.size:
@@ -37,7 +36,8 @@ def _hash(value, key):
 
 @compiled
 def _fill(out, variance, keys):
-    # Many short loops over few arrays each: the compiler turns those into vector instructions, one long loop it does not.
+    # Many short loops over few arrays each: the compiler turns those into vector instructions, one long
+    # loop it does not.
     count = len(out) // 2
     first, second = np.empty(BLOCK, np.uint32), np.empty(BLOCK, np.uint32)
     uniform, radius = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
@@ -54,9 +54,7 @@ def _fill(out, variance, keys):
             first[i] = _hash(word, k1)
             second[i] = _hash(np.uint32(word + k2), k3)
         for i in range(BLOCK):
-            uniform[i] = (np.float32(np.int32(first[i] >> np.uint32(1))) + np.float32(0.5)) * np.float32(
-                2.0**-31
-            )
+            uniform[i] = (np.float32(np.int32(first[i] >> np.uint32(1))) + np.float32(0.5)) * np.float32(2.0**-31)
         for i in range(BLOCK):
             exponent[i] = (bits[i] >> np.int32(23)) - np.int32(127)
         for i in range(BLOCK):
@@ -77,9 +75,7 @@ def _fill(out, variance, keys):
             tail = np.float32(1 / 362880) + y * (np.float32(-1 / 39916800) + y * np.float32(1 / 6227020800))
             tail = np.float32(-1 / 6) + y * (np.float32(1 / 120) + y * (np.float32(-1 / 5040) + y * tail))
             sine[i] = x + x * y * tail
-            tail = np.float32(-1 / 3628800) + y * (
-                np.float32(1 / 479001600) - y * np.float32(1 / 87178291200)
-            )
+            tail = np.float32(-1 / 3628800) + y * (np.float32(1 / 479001600) - y * np.float32(1 / 87178291200))
             tail = np.float32(1 / 24) + y * (np.float32(-1 / 720) + y * (np.float32(1 / 40320) + y * tail))
             cosine[i] = one + y * (np.float32(-0.5) + y * tail)
         for i in range(BLOCK):

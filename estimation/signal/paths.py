@@ -1,8 +1,8 @@
 """Path parameters: the public table in angles, and the internal record in unit vectors.
 
-Parameter order everywhere: delay, AOA azimuth, AOA elevation, AOD azimuth, AOD elevation, radial velocity. AOA in the receiving
-array's frame, AOD in the transmitting array's frame; the radial velocity is positive when approaching. The complex gain is the
-path's amplitude at the carrier frequency and the burst center.
+Parameter order everywhere: delay, AOA azimuth, AOA elevation, AOD azimuth, AOD elevation, radial velocity.
+AOA in the receiving array's frame, AOD in the transmitting array's frame; the radial velocity is positive
+when approaching. The complex gain is the path's amplitude at the carrier frequency and the burst center.
 """
 
 from __future__ import annotations
@@ -48,9 +48,7 @@ class PathTable:
             value = np.asarray(getattr(self, name), complex if name == "gain" else float)
             value = value.reshape(shape) if value.size == np.prod(shape) else value
             if value.shape != shape or not np.isfinite(value).all():
-                raise ModelError(
-                    f"PathTable: {name} must be finite and of shape {shape}, got shape {value.shape}"
-                )
+                raise ModelError(f"PathTable: {name} must be finite and of shape {shape}, got shape {value.shape}")
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -69,7 +67,9 @@ class PathTable:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """The non-linear parameters of P paths: delay (P,) [s], arrival and departure unit vectors (P, 3), speed (P,) [m/s]."""
+    """The non-linear parameters of P paths: delay (P,) [s], arrival and departure unit vectors (P, 3), speed
+    (P,) [m/s].
+    """
 
     delay: Float
     arrival: Float
@@ -99,9 +99,7 @@ class Geometry:
 
     def joined(self, other: Geometry) -> Geometry:
         """These paths followed by the others."""
-        return Geometry(
-            *(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
-        )
+        return Geometry(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
     def replaced(self, index: int, path: Geometry) -> Geometry:
         """With path number ``index`` exchanged for a single other one."""
@@ -120,7 +118,9 @@ class Geometry:
 
 
 def tangent_jacobian(geometry: Geometry) -> Float:
-    """d(parameters in angles)/d(tangent step), (P, 6): it is diagonal, with 1/cos(el) for the azimuths (inf at a pole)."""
+    """d(parameters in angles)/d(tangent step), (P, 6): it is diagonal, with 1/cos(el) for the azimuths (inf
+    at a pole).
+    """
     scale = np.ones((len(geometry), 6))
     for column, vectors in ((1, geometry.arrival), (3, geometry.departure)):
         with np.errstate(divide="ignore"):

@@ -1,7 +1,7 @@
 """Element patterns, and arrays known by their measured response.
 
-A pattern is a scalar complex gain over direction, in the array's body frame, for one polarization; what a path does to polarization is
-part of its complex gain.
+A pattern is a scalar complex gain over direction, in the array's body frame, for one polarization; what a
+path does to polarization is part of its complex gain.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from .directions import Float, angles_of, tangents, unit_vectors
 
 @dataclass(frozen=True, eq=False)
 class CosinePattern:
-    """``max(u . b, 0)^exponent`` about a boresight ``b``: the usual model of a patch (exponent 1 to 2 in amplitude).
+    """``max(u . b, 0)^exponent`` about a boresight ``b``: the usual model of a patch (exponent 1 to 2 in
+    amplitude).
 
     Parameters
     ----------
-    boresight : (1, 3) common, or (M, 3) one per element (a cylinder's elements look outwards); normalized by the constructor
+    boresight : (1, 3) common, or (M, 3) one per element (a cylinder's elements look outwards); normalized by
+        the constructor
     exponent : of the amplitude; at least 1 keeps the gradient continuous
     """
 
@@ -69,9 +71,11 @@ def outward(array_positions: Float, exponent: float = 1.0) -> CosinePattern:
 
 @dataclass(frozen=True, eq=False)
 class EadfArray:
-    """An array by its effective aperture distribution function: the Fourier series of its measured responses over the sphere.
+    """An array by its effective aperture distribution function: the Fourier series of its measured responses
+    over the sphere.
 
-    ``a_m(el, az) = sum_pq G_m[p, q] exp(j p theta) exp(j q az)`` with the co-elevation ``theta = pi/2 - el`` continued over the pole to a full
+    ``a_m(el, az) = sum_pq G_m[p, q] exp(j p theta) exp(j q az)`` with the co-elevation ``theta = pi/2 - el``
+    continued over the pole to a full
     period. Interpolation and derivatives are exact for responses of limited aperture.
 
     Parameters
@@ -85,7 +89,8 @@ class EadfArray:
 
     @staticmethod
     def from_samples(responses: Complex, orientation: Rotation | None = None) -> EadfArray:
-        """From responses (M, n, 2 n) on the grid ``theta = pi (i + 1/2) / n``, ``az = 2 pi j / (2 n)``; wide enough for the aperture.
+        """From responses (M, n, 2 n) on the grid ``theta = pi (i + 1/2) / n``, ``az = 2 pi j / (2 n)``; wide
+        enough for the aperture.
 
         A grid of ``n`` co-elevations resolves apertures up to about ``n / (2 pi)`` wavelengths across.
         """
@@ -130,7 +135,9 @@ class EadfArray:
     def response(
         self, directions: Float, tangents_: Float | None = None, scale: float = 1.0
     ) -> tuple[Complex, Complex]:
-        """Responses (P, M) and derivatives (P, 2, M) along the tangents; a measurement at one frequency knows no other ``scale``."""
+        """Responses (P, M) and derivatives (P, 2, M) along the tangents; a measurement at one frequency knows
+        no other ``scale``.
+        """
         rotation = None if self.orientation is None else self.orientation.as_matrix()
         body = directions if rotation is None else directions @ rotation
         az, el = angles_of(body).T

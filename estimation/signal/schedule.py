@@ -1,7 +1,8 @@
 """Pilot schedule: what is sent and received at which time.
 
-Symbol ``n`` is at ``times[n]`` (relative to the burst center), is precoded with the pilot vector ``p_n`` and combined with the
-matrix ``W_n`` of eq. (2). Both are codebooks with an index per symbol; either may be absent, and that end is then fully digital.
+Symbol ``n`` is at ``times[n]`` (relative to the burst center), is precoded with the pilot vector ``p_n`` and
+combined with the matrix ``W_n`` of eq. (2). Both are codebooks with an index per symbol; either may be
+absent, and that end is then fully digital.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class Schedule:
             index = np.zeros(len(times), int) if index is None and len(book) == 1 else np.asarray(index)
             if index.shape != times.shape or index.min() < 0 or index.max() >= len(book):
                 raise ModelError(
-                    f"Schedule: {name}_index must hold one row number below {len(book)} for each of {len(times)} symbols"
+                    f"Schedule: {name}_index must hold one row number below {len(book)} for each of "
+                    f"{len(times)} symbols"
                 )
             object.__setattr__(self, name + "s", book)
             object.__setattr__(self, name + "_index", index)
@@ -102,8 +104,10 @@ def sweep(
 ) -> Schedule:
     """All ``beams`` (Q, N_T), ``sweeps`` times, one symbol each ``period`` [s].
 
-    ``order``: ``linear``; ``permuted`` (a fresh random permutation in every sweep, the one without Doppler ambiguity);
-    ``same_permutation``; ``dwell`` (all repetitions of a beam in a row). With ``combiners`` (S, N_R, M) each beam is held for the S
+    ``order``: ``linear``; ``permuted`` (a fresh random permutation in every sweep, the one without Doppler
+    ambiguity);
+    ``same_permutation``; ``dwell`` (all repetitions of a beam in a row). With ``combiners`` (S, N_R, M) each
+    beam is held for the S
     combiners in turn, which keeps the combiners of one beam close in time.
     """
     beams = np.asarray(beams, complex)

@@ -20,7 +20,8 @@ def synthesize(
     ----------
     model : the link; its ``subbands`` decide about beam squint and range migration
     paths : propagation paths (possibly none)
-    noise_variance : variance of each entry of the white noise vector ``n`` before combining; behind combiners the noise has the
+    noise_variance : variance of each entry of the white noise vector ``n`` before combining; behind combiners
+        the noise has the
         covariance ``noise_variance * W_n^H W_n``
     rng : generator of the noise; needed if there is any
 
@@ -33,17 +34,13 @@ def synthesize(
         raise ModelError(f"synthesize: noise_variance must be finite and not negative, got {noise_variance}")
     if noise_variance > 0 and rng is None:
         raise ModelError("synthesize: noise needs rng=np.random.default_rng(seed)")
-    signal = (
-        noise_of(model, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
-    )
+    signal = noise_of(model, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
     if len(paths):
         signal = add_signal(model, model.evaluate(paths.geometry), paths.gain, signal)
     return model.color(signal)
 
 
-def noise_of(
-    model: SignalModel, variance: float, rng: np.random.Generator
-) -> np.typing.NDArray[np.complex64]:
+def noise_of(model: SignalModel, variance: float, rng: np.random.Generator) -> np.typing.NDArray[np.complex64]:
     """Noise before the combiners color it: white, or with the model's covariance over the pilots."""
     noise = white_noise(model.shape, variance, rng)
     if model.pilot_covariance is None:

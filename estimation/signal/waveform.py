@@ -19,7 +19,8 @@ class Waveform:
     Parameters
     ----------
     carrier : carrier frequency [Hz]
-    frequencies : (K,) increasing pilot frequencies relative to the carrier [Hz]; a path's gain is referred to frequency 0
+    frequencies : (K,) increasing pilot frequencies relative to the carrier [Hz]; a path's gain is referred to
+        frequency 0
     """
 
     carrier: float
@@ -30,9 +31,7 @@ class Waveform:
         if not (np.isfinite(self.carrier) and self.carrier > 0):
             raise ModelError(f"Waveform: carrier must be a positive frequency in Hz, got {self.carrier}")
         if frequencies.ndim != 1 or not len(frequencies) or not np.isfinite(frequencies).all():
-            raise ModelError(
-                "Waveform: frequencies must be a finite vector (K,) in Hz relative to the carrier"
-            )
+            raise ModelError("Waveform: frequencies must be a finite vector (K,) in Hz relative to the carrier")
         if len(frequencies) > 1 and np.min(np.diff(frequencies)) <= 0:
             raise ModelError("Waveform: frequencies must be strictly increasing")
         object.__setattr__(self, "frequencies", frequencies)
@@ -63,7 +62,9 @@ class Waveform:
 
     @property
     def max_delay(self) -> float:
-        """Unambiguous delay range [s]: the reciprocal of the pilot spacing (of the smallest one for a non-uniform comb)."""
+        """Unambiguous delay range [s]: the reciprocal of the pilot spacing (of the smallest one for a
+        non-uniform comb).
+        """
         if self.subcarriers < 2:
             return 0.0
         return 1.0 / (self.spacing or float(np.min(np.diff(self.frequencies))))

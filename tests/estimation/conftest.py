@@ -30,9 +30,7 @@ def small_models() -> dict[str, SignalModel]:
     return {
         "digital": SignalModel(waveform, digital(5, 100e-6), transmitter, receiver),
         "swept": SignalModel(waveform, swept, transmitter, receiver),
-        "hybrid": SignalModel(
-            waveform, sweep(beams, 3, 20e-6, combiners=combiners, rng=rng), transmitter, receiver
-        ),
+        "hybrid": SignalModel(waveform, sweep(beams, 3, 20e-6, combiners=combiners, rng=rng), transmitter, receiver),
         "combined": SignalModel(
             waveform,
             Schedule(combined.times, None, None, combiners, combined.combiner_index),

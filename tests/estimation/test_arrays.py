@@ -83,9 +83,7 @@ def test_what_arrays_can_tell():
 
 
 def link(book, order, rng):
-    return SignalModel(
-        comb(28e9, 6.25e6, 8), sweep(book, 8, 8.92e-6, order=order, rng=rng), ura(8, 8), ura(2, 2)
-    )
+    return SignalModel(comb(28e9, 6.25e6, 8), sweep(book, 8, 8.92e-6, order=order, rng=rng), ura(8, 8), ura(2, 2))
 
 
 def test_fixed_beam_order_is_ambiguous_and_a_fresh_permutation_is_not():

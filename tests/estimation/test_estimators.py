@@ -99,9 +99,7 @@ def test_warm_start_agrees_and_forgets_what_is_gone(link, nomp):
     )
     warm = nomp.run(signal, prior=prior)
     assert len(warm) == len(cold) == 4
-    assert np.allclose(warm.delay, cold.delay, atol=1e-3 / 400e6) and np.allclose(
-        warm.snr, cold.snr, rtol=1e-3
-    )
+    assert np.allclose(warm.delay, cold.delay, atol=1e-3 / 400e6) and np.allclose(warm.snr, cold.snr, rtol=1e-3)
     assert isinstance(warm, Detections) and warm.p_d(warm.snr[0]) > 0.99
 
 
@@ -120,8 +118,7 @@ def test_dense_multipath_is_whitened(link):
             paths,
             gain=paths.gain
             * np.sqrt(
-                np.array([1e4, 3e3, 1e3])
-                / snr(truth, replace(paths, gain=np.exp(1j * np.angle(paths.gain))), 1.0)
+                np.array([1e4, 3e3, 1e3]) / snr(truth, replace(paths, gain=np.exp(1j * np.angle(paths.gain))), 1.0)
             )
             / np.abs(paths.gain),
         )
@@ -148,7 +145,9 @@ class TestFailureModes:
     """Regression tests of what broke in trials (estimation notes, 2.6)."""
 
     def test_close_pair_is_two_paths_not_three(self, link, nomp):
-        """1. A path added before the joint fit has converged leaves a wrong local optimum with three paths for two."""
+        """1. A path added before the joint fit has converged leaves a wrong local optimum with three paths
+        for two.
+        """
         for seed in range(4):
             rng = np.random.default_rng(100 + seed)
             one = draw_paths(link, rng, Draw(paths=1))
@@ -166,7 +165,9 @@ class TestFailureModes:
             assert np.all(detections.flags & 1)
 
     def test_endfire_alias_is_not_a_second_path(self, link):
-        """2. The two ends of a half-wavelength axis are one direction: candidates are told apart by coherence."""
+        """2. The two ends of a half-wavelength axis are one direction: candidates are told apart by
+        coherence.
+        """
         wide = View((-1.5, 1.5), (-0.6, 0.6))
         estimator = Nomp(link, threshold=24.0, arrival_view=wide, departure_view=wide)
         for seed in range(4):
@@ -223,9 +224,7 @@ def test_direction_covariance_stays_regular_near_the_pole():
     path = PathTable([60e-9], [[0.4, np.pi / 2 - 1e-5]], [[-1.0, 0.3]], [4.0], [1.0])
     path = at_snr(model, path, [1e4])
     rng = np.random.default_rng(0)
-    detections = Nomp(model, threshold=25.0, search_options={"retained": 0.6}).run(
-        synthesize(model, path, 1.0, rng)
-    )
+    detections = Nomp(model, threshold=25.0, search_options={"retained": 0.6}).run(synthesize(model, path, 1.0, rng))
     assert len(detections) == 1 and detections.flags[0] & 8
     covariance = detections.direction_covariance("aoa")[0]
     assert np.isfinite(covariance).all() and np.sqrt(np.trace(covariance)) < 0.05

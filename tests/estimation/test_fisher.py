@@ -1,4 +1,6 @@
-"""Fisher information: closed forms of an isolated path, and numerical differentiation of the whole likelihood."""
+"""Fisher information: closed forms of an isolated path, and numerical differentiation of the whole
+likelihood.
+"""
 
 from __future__ import annotations
 

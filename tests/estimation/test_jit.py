@@ -42,16 +42,16 @@ def test_an_unwritable_cache_is_slower_but_not_broken(tmp_path):
     blocked.write_text("not a folder")
     code = (
         "import numba.core.caching as c\n"
-        "for name in ('_UserProvidedCacheLocator', '_InTreeCacheLocator', '_UserWideCacheLocator', '_InTreeCacheLocatorFsAgnostic'):\n"
+        "for name in ('_UserProvidedCacheLocator', '_InTreeCacheLocator', '_UserWideCacheLocator', "
+        "'_InTreeCacheLocatorFsAgnostic'):\n"
         "    if hasattr(c, name):\n"
-        "        setattr(getattr(c, name), 'ensure_cache_path', lambda self: (_ for _ in ()).throw(OSError('read-only')))\n"
+        "        setattr(getattr(c, name), 'ensure_cache_path', lambda self: (_ for _ in "
+        "()).throw(OSError('read-only')))\n"
         "import numpy as np\n"
         "from estimation.estimators.kernels import peak_power\n"
         "print(peak_power(np.arange(4, dtype=np.float32)))\n"
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(blocked)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "13.0"

@@ -72,9 +72,7 @@ def test_derivatives_grams_and_projections_match_finite_differences(model, paths
     for a in range(6):
         step = np.zeros((len(paths), 6))
         step[:, a] = scale[a]
-        columns.append(
-            (dense_signatures(model, paths, step) - dense_signatures(model, paths, -step)) / (2 * scale[a])
-        )
+        columns.append((dense_signatures(model, paths, step) - dense_signatures(model, paths, -step)) / (2 * scale[a]))
     dense = np.stack(columns, axis=1)
     expected = np.einsum("pax,qbx->paqb", dense.conj(), dense)
     blocks = model.evaluate(paths.geometry)
@@ -124,10 +122,7 @@ def test_orientation_turns_the_array():
     direction = unit_vectors([[0.3, 0.2]])
     rotated = unit_vectors([[0.3 + np.pi / 2, 0.2]])
     assert np.allclose(turned.steering(rotated), straight.steering(direction))
-    assert (
-        turned.faces(unit_vectors([[np.pi / 2, 0]]))[0]
-        and not turned.faces(unit_vectors([[-np.pi / 2, 0]]))[0]
-    )
+    assert turned.faces(unit_vectors([[np.pi / 2, 0]]))[0] and not turned.faces(unit_vectors([[-np.pi / 2, 0]]))[0]
 
 
 @pytest.mark.parametrize(

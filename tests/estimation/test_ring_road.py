@@ -27,9 +27,7 @@ def link() -> SignalModel:
     """A quarter of ring_road's bandwidth and half its sweeps."""
     rng = np.random.default_rng(7)
     beams = random_phase_beams(16, 32, rng)
-    return SignalModel(
-        comb(28e9, 120e3, 100, 4), sweep(beams, 4, 35.68e-6, rng=rng), cylinder(16, 2), cylinder(8, 2)
-    )
+    return SignalModel(comb(28e9, 120e3, 100, 4), sweep(beams, 4, 35.68e-6, rng=rng), cylinder(16, 2), cylinder(8, 2))
 
 
 @pytest.fixture(scope="module")
