@@ -33,9 +33,7 @@ def test_known_agent_and_certain_association_is_the_kalman_filter():
     )  # fmt: skip
     agent = particles(np.tile([6.0, -4, 0], (50, 1)), np.tile([0.65, 0, 0], (50, 1)))
     mean, cov = np.array([0.1, 18.1, 0.0]), np.diag([0.2, 0.3, 0.0]) ** 2
-    features = Features(
-        np.zeros(1, int), np.ones((1, 1)), mean[None, None], cov[None, None], np.array([[15.0, 0.5]])
-    )
+    features = Features(np.zeros(1, int), np.ones((1, 1)), mean[None, None], cov[None, None], np.array([[15.0, 0.5]]))
     state = State(agent, np.zeros(50), features, np.array([1e-9, 30.0, 1.0]), 1)
     p = np.array([6.065, -4, 0])
     length, e, t = geometry.predict(Form.VA, p, np.array([0.0, 18, 0]), experiment.anchor)
@@ -57,7 +55,7 @@ def test_same_seed_same_result():
     experiment = Experiment(steps=15)
     results = []
     for _ in range(2):
-        truth, scans, _ = draw(experiment, np.random.default_rng(3))
+        _, scans, _ = draw(experiment, np.random.default_rng(3))
         history = run(small_filter(experiment), np.random.default_rng(4), scans, Box(experiment.start), 200)
         results.append(np.array([i.estimate.position for i in history.infos]))
     np.testing.assert_array_equal(*results)
@@ -83,8 +81,7 @@ def test_measurement_order_does_not_matter():
     start = filter_.init(*uniform_start(np.random.default_rng(6), Box(experiment.start), 200))
     order = np.random.default_rng(7).permutation(len(scans[0]))
     estimates = [
-        filter_.step(np.random.default_rng(8), start, scan)[1].estimate
-        for scan in (scans[0], scans[0].select(order))
+        filter_.step(np.random.default_rng(8), start, scan)[1].estimate for scan in (scans[0], scans[0].select(order))
     ]
     np.testing.assert_allclose(estimates[0].position, estimates[1].position, atol=1e-6)
 

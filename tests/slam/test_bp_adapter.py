@@ -14,7 +14,9 @@ WALL, POINT = np.array([0.0, 60.0, 10.0]), np.array([15.0, -6.0, 3.0])
 def world(steps=30, bias=5.0, seed=0, spatial=True):
     """A straight drive past one wall and one scatterer, detections without misses or false alarms."""
     rng = np.random.default_rng(seed)
-    states = np.column_stack([5 + 0.5 * np.arange(1, steps + 1), np.full(steps, -8.0), np.zeros(steps), np.full(steps, bias)])
+    states = np.column_stack(
+        [5 + 0.5 * np.arange(1, steps + 1), np.full(steps, -8.0), np.zeros(steps), np.full(steps, bias)]
+    )
     bs = BS if spatial else BS * [1, 1, 0]
     marks = [(bs, 0), (WALL if spatial else WALL * [1, 1, 0], 1), (POINT if spatial else POINT * [1, 1, 0], 2)]
     deviation = np.array([0.05, 0.01, 0.01, 0.01, 0.01, 0.1])
@@ -50,7 +52,7 @@ def test_tracks_and_maps(spatial):
 
 
 def test_bias_is_carried_or_known():
-    states, series, setup = world(bias=5.0)
+    _, series, setup = world(bias=5.0)
     free = slam(series, setup, particles=300, seed=2)
     known = slam(series, synchronized(setup), particles=300, seed=2)
     assert np.abs(free.mean[:, 3] - 5.0).max() < 0.5
@@ -59,7 +61,7 @@ def test_bias_is_carried_or_known():
 
 
 def test_scans_carry_lengths_and_unit_vectors():
-    states, series, setup = world(steps=2)
+    _, series, setup = world(steps=2)
     scan = scans_of(series, setup)[1]
     np.testing.assert_allclose(scan.distance, SPEED_OF_LIGHT * series.delay[3:6])
     np.testing.assert_allclose(np.linalg.norm(scan.aoa, axis=1), 1.0)

@@ -8,6 +8,7 @@ from dopslam.models.measurement import measure
 from dopslam.slam.bp import geometry, kernels
 from dopslam.slam.bp.births import birth, order_for
 from dopslam.slam.bp.bound import tangent_jacobian
+from dopslam.slam.bp.evidence import gaussian_evidence
 from dopslam.slam.bp.records import Form
 
 FORMS = [Form.LOS, Form.VA, Form.PS, Form.VA_AOD]
@@ -36,9 +37,7 @@ def test_gradients_are_central_differences(form):
                 length, e, t = geometry.predict(form, p, q, ANCHOR)
                 return np.concatenate([[length], e, t])
 
-            np.testing.assert_allclose(
-                by_p[:, axis], (stacked(p + d, q) - stacked(p - d, q)) / (2 * step), atol=1e-6
-            )
+            np.testing.assert_allclose(by_p[:, axis], (stacked(p + d, q) - stacked(p - d, q)) / (2 * step), atol=1e-6)
             if form != Form.LOS:
                 np.testing.assert_allclose(
                     by_q[:, axis], (stacked(p, q + d) - stacked(p, q - d)) / (2 * step), atol=1e-6
@@ -181,11 +180,9 @@ def test_evidence_moves_with_the_world():
             [agent[:, :3] @ turn.T + shift, agent[:, 3], np.cos(heading + angle), np.sin(heading + angle)]
         )
         anchor = turn @ (ANCHOR * [1, 1, 0]) + shift
-        return kernels.gaussian_evidence(
+        return gaussian_evidence(
             moved, np.full(40, 1 / 40), anchor, 1, form, mean @ turn.T + shift, turn @ cov @ turn.T, distance, z_a,
             z_t @ turn.T, noise, np.ones((4, 3)),
         )  # fmt: skip
 
-    np.testing.assert_allclose(
-        evidence(0.0, np.zeros(3)), evidence(1.1, np.array([3.0, -8.0, 0.0])), rtol=1e-9
-    )
+    np.testing.assert_allclose(evidence(0.0, np.zeros(3)), evidence(1.1, np.array([3.0, -8.0, 0.0])), rtol=1e-9)

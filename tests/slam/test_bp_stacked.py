@@ -57,9 +57,7 @@ def test_numpy_densities_are_the_papers(scene, form):
         expected = norm.pdf(scan.distance, length, sigma[0])
         world = geometry.turned(scan.aoa, np.full(len(scan), kappa[i]))
         expected = expected * norm.pdf(np.linalg.norm(world - e, axis=1), 0, sigma[1])
-        expected *= (
-            1 / (2 * np.pi) if form == Form.VA else norm.pdf(np.linalg.norm(scan.aod - t, axis=1), 0, sigma[2])
-        )
+        expected *= 1 / (2 * np.pi) if form == Form.VA else norm.pdf(np.linalg.norm(scan.aod - t, axis=1), 0, sigma[2])
         expected *= np.exp(experiment.detector.log_rice(scan.amplitude, float(u[0, i])))
         np.testing.assert_allclose(got, expected, rtol=0.02, atol=1e-25)
 

@@ -1,8 +1,10 @@
-"""Belief-propagation SLAM on the detections of a traced scene: from `DetectionSeries` to the filters' common `History`.
+"""Belief-propagation SLAM on the detections of a traced scene: from `DetectionSeries` to the filters' common
+`History`.
 
-Azimuths and elevations become unit vectors and tangent covariances, delays become lengths, amplitudes are √snr. The
-clock bias is a coordinate of the agent's particles (0 and no walk for synchronized clocks, as paper B assumes). In the
-plane only the azimuths are used and detections far from the horizontal are left out, as paper B does.
+Azimuths and elevations become unit vectors and tangent covariances, delays become lengths, amplitudes are
+√snr. The clock bias is a coordinate of the agent's particles (0 and no walk for synchronized clocks, as paper
+B assumes). In the plane only the azimuths are used and detections far from the horizontal are left out, as
+paper B does.
 """
 
 from __future__ import annotations
@@ -77,7 +79,8 @@ def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
     aoa, aod = series.aoa[rows], series.aod[rows]
     used = np.ones(len(aoa), bool) if setup.spatial else np.abs(aoa[:, 1]) <= setup.largest_elevation
     aoa, aod = aoa[used], aod[used]
-    # (delay, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the elevation.
+    # (delay, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the
+    # elevation.
     scale = np.ones((len(aoa), 5))
     scale[:, 0] = SPEED_OF_LIGHT
     scale[:, 1], scale[:, 3] = np.cos(aoa[:, 1]), np.cos(aod[:, 1])
@@ -109,9 +112,7 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
         amplitude, amplitude_end, reacquisition = ConstantDetection(setup.detection_probability), 1.0, 0.0
     else:
         amplitude_end = float(max(2 * np.sqrt(series.snr.max()), 2 * np.sqrt(series.threshold)))
-        amplitude = AmplitudeModel(
-            float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end
-        )
+        amplitude = AmplitudeModel(float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end)
         reacquisition = 0.02
     reach = max(end - abs(float(setup.mean[3])), 1.0)
     parameters = Parameters(

@@ -29,7 +29,8 @@ def systematic(rng: np.random.Generator, weight: np.ndarray, size: int) -> np.nd
 
 
 def kernel_jitter(rng: np.random.Generator, coordinates: np.ndarray, width: float) -> np.ndarray:
-    """Equally weighted particles shrunk towards their mean and smeared, mean and covariance kept (Liu and West).
+    """Equally weighted particles shrunk towards their mean and smeared, mean and covariance kept (Liu and
+    West).
 
     coordinates : (N, c); directions without spread stay without.
     """
@@ -41,10 +42,13 @@ def kernel_jitter(rng: np.random.Generator, coordinates: np.ndarray, width: floa
     return mean + np.sqrt(1 - width**2) * centered + width * noise
 
 
-def amplitude_messages(model: AmplitudeModel | ConstantDetection, mean: np.ndarray, variance: np.ndarray, z: np.ndarray):
+def amplitude_messages(
+    model: AmplitudeModel | ConstantDetection, mean: np.ndarray, variance: np.ndarray, z: np.ndarray
+):
     """Amplitude evidence and posterior of Gaussian amplitudes u_k ~ N(mean, variance).
 
-    Gauss–Hermite nodes sit on the product of prior and likelihood, so a wide prior after a blockage costs nothing.
+    Gauss–Hermite nodes sit on the product of prior and likelihood, so a wide prior after a blockage costs
+    nothing.
 
     Returns
     -------

@@ -1,15 +1,17 @@
 """New features from single measurements: one Gaussian per measurement and type.
 
-Given an agent particle, distance and one direction fix the position exactly; the other direction, if the form explains
-it, is redundant and gives the evidence. With D = distance − bias, arrival e and departure n (world frame), w = p − p_a:
+Given an agent particle, distance and one direction fix the position exactly; the other direction, if the form
+explains it, is redundant and gives the evidence. With D = distance − bias, arrival e and departure n (world
+frame), w = p − p_a:
 
 * VA: q = p + D e, |∂q| = D^{axes−1};
 * PS: q = p_a + R n with R = (D² − ‖w‖²)/(2(D − wᵀn)) — from the AOD, which needs no heading — and
   |∂q| = R^{axes−1}/(1 + eᵀn).
 
 The PPP of new features has intensity μ_n/(volume·u_max) per type prior, so
-c_ms = μ_n P(s)/(volume u_max) · E[|∂q| · N(redundant residual)], times 1/2π (1/4π in space) for the direction that a
-``VA`` without AOD leaves unexplained: all forms are densities over the same measurement space (theory §5).
+c_ms = μ_n P(s)/(volume u_max) · E[|∂q| · N(redundant residual)], times 1/2π (1/4π in space) for the direction
+that a ``VA`` without AOD leaves unexplained: all forms are densities over the same measurement space (theory
+§5).
 """
 
 from __future__ import annotations
@@ -119,9 +121,7 @@ def birth(form, count, agent, weight, anchor, distance, aoa, aod, covariance, wh
                 white_rows[j - own, 0], white_rows[j - own, 1], white_rows[j - own, 2] = h0, h1, h2
                 log_det += np.log(whitener[j, j])
             offset[:] = 0.0
-            value += (
-                _update(count, white_residual, white_rows, offset, p6[i]) + log_det - 0.5 * count * _LOG_2PI
-            )
+            value += _update(count, white_residual, white_rows, offset, p6[i]) + log_det - 0.5 * count * _LOG_2PI
             for a in range(3):
                 q[i, a] += offset[a]
         log_w[i] = value

@@ -1,8 +1,8 @@
 """Posterior Cramér–Rao bound of a synthetic experiment, map unknown.
 
-The covariance recursion of the Kalman filter linearized at the true trajectory over [p, v, all features] with the
-near-constant-velocity model of paper B: the recursion (17) of paper A for singular process noise. Features enter with
-a prior so wide that it carries no information.
+The covariance recursion of the Kalman filter linearized at the true trajectory over [p, v, all features] with
+the near-constant-velocity model of paper B: the recursion (17) of paper A for singular process noise.
+Features enter with a prior so wide that it carries no information.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ class Bound:
     features: np.ndarray
 
 
-def tangent_jacobian(
-    form: Form, p, heading: float, q, anchor, count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def tangent_jacobian(form: Form, p, heading: float, q, anchor, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gradients of (length, AOA tangents, AOD tangents) of one path.
 
     Returns

@@ -1,9 +1,10 @@
 """Synthetic experiments for the belief-propagation filters: tracks and measurements drawn from the model.
 
-The pedestrian experiment stands for paper B, Section VI-B: one anchor, two virtual anchors, one point scatterer, 200
-steps of a straight walk, amplitudes that fall with the path length, Fisher-information variances, Rician detection and
-Poisson false alarms. Variants: weak features, a blocked line of sight, spurious peaks as strong as paths, three
-dimensions. World frame, SI units, radians; the anchor's array is aligned with the world frame.
+The pedestrian experiment stands for paper B, Section VI-B: one anchor, two virtual anchors, one point
+scatterer, 200 steps of a straight walk, amplitudes that fall with the path length, Fisher-information
+variances, Rician detection and Poisson false alarms. Variants: weak features, a blocked line of sight,
+spurious peaks as strong as paths, three dimensions. World frame, SI units, radians; the anchor's array is
+aligned with the world frame.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from dopslam.slam.bp import geometry
 from dopslam.slam.bp.records import Form, Parameters, Scan
 
 _WAVELENGTH = SPEED_OF_LIGHT / 28e9
+_RADIO = Radio(28e9, flat_rms_bandwidth(768e6), 0.90 * _WAVELENGTH, 2.30 * _WAVELENGTH)
+_DETECTOR = AmplitudeModel(threshold=10**0.45, samples=1024.0 * 128 * 64)
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,8 @@ class Experiment:
     anchor : (3,) m
     features : (L, 3) m, true virtual anchors and scatterers
     forms : (L,) true kinds, ``Form.VA_AOD`` or ``Form.PS``
-    amplitudes, distances : (1 + L,) reference amplitude at a reference distance [m], line of sight first; u ∝ 1/d
+    amplitudes, distances : (1 + L,) reference amplitude at a reference distance [m], line of sight first; u ∝
+        1/d
     radio, detector : what fixes variances and detection
     false_alarm_rate, distance_end : Poisson mean per step; distances uniform up to there [m]
     spurious_rate, spurious_end : additional false alarms with amplitude uniform in [γ, end]
@@ -48,8 +52,8 @@ class Experiment:
     forms: tuple[Form, ...] = (Form.VA_AOD, Form.VA_AOD, Form.PS)
     amplitudes: tuple[float, ...] = (30.0, 15.0, 12.0, 12.0)
     distances: tuple[float, ...] = (10.0, 20.0, 30.0, 20.0)
-    radio: Radio = Radio(28e9, flat_rms_bandwidth(768e6), 0.90 * _WAVELENGTH, 2.30 * _WAVELENGTH)
-    detector: AmplitudeModel = AmplitudeModel(threshold=10**0.45, samples=1024.0 * 128 * 64)
+    radio: Radio = _RADIO
+    detector: AmplitudeModel = _DETECTOR
     false_alarm_rate: float = 2.0
     distance_end: float = 80.0
     spurious_rate: float = 0.0
@@ -134,9 +138,7 @@ def draw_track(experiment: Experiment, rng: np.random.Generator) -> Truth:
     headings, climb = np.empty(experiment.steps), 0.0
     for k in range(experiment.steps):
         noise = rng.standard_normal(3)
-        heading = (
-            experiment.heading + 0.97 * (heading - experiment.heading) + experiment.heading_noise * noise[0]
-        )
+        heading = experiment.heading + 0.97 * (heading - experiment.heading) + experiment.heading_noise * noise[0]
         speed = experiment.speed + 0.95 * (speed - experiment.speed) + experiment.speed_noise * noise[1]
         climb = 0.95 * climb + experiment.climb_noise * noise[2]
         velocity[k] = speed * geometry.unit_vector(heading) + np.array([0.0, 0.0, climb])

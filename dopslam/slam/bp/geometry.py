@@ -1,4 +1,5 @@
-"""Path lengths and directions of the likelihood forms, with gradients; broadcasts over particles and features.
+"""Path lengths and directions of the likelihood forms, with gradients; broadcasts over particles and
+features.
 
 p receiver, q feature, p_a anchor (all (..., 3), m), e = (q − p)/‖q − p‖ arrival, n = (q − p_a)/‖q − p_a‖:
 
@@ -7,8 +8,9 @@ p receiver, q feature, p_a anchor (all (..., 3), m), e = (q − p)/‖q − p‖
 * VA_AOD  the same, departure t = −e + 2(eᵀn)n, the arrival mirrored at the wall with normal n;
 * PS      length ‖q − p‖ + ‖q − p_a‖, departure n.
 
-Directions are compared by chords: for a measured z and a predicted e the residual is T(e)z·√(2/(1 + zᵀe)), whose norm is
-the chord ‖z − e‖, with T the orthonormal azimuth (and elevation) tangents at e; no wrapping, no poles.
+Directions are compared by chords: for a measured z and a predicted e the residual is T(e)z·√(2/(1 + zᵀe)),
+whose norm is the chord ‖z − e‖, with T the orthonormal azimuth (and elevation) tangents at e; no wrapping, no
+poles.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ def gradients(form: Form, p: np.ndarray, q: np.ndarray, anchor: np.ndarray):
 
     Returns
     -------
-    by_q, by_p : (..., 7, 3) rows length, arrival x y z, departure x y z; for LOS the feature is fixed and by_q is 0
+    by_q, by_p : (..., 7, 3) rows length, arrival x y z, departure x y z; for LOS the feature is fixed and
+        by_q is 0
     """
     e, r = _unit(q - p)
     n, reach = _unit(q - anchor)
@@ -88,9 +91,7 @@ def chord(measured: np.ndarray, predicted: np.ndarray, count: int) -> np.ndarray
     basis = tangents(predicted, count)
     cosine = np.sum(measured * predicted, axis=-1)
     stretch = np.sqrt(2 / np.maximum(1 + cosine, _TINY))
-    return (
-        np.einsum("...ji,...i->...j", basis, np.broadcast_to(measured, predicted.shape)) * stretch[..., None]
-    )
+    return np.einsum("...ji,...i->...j", basis, np.broadcast_to(measured, predicted.shape)) * stretch[..., None]
 
 
 def turned(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:

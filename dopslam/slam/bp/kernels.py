@@ -1,14 +1,15 @@
 """Compiled kernels of the Rao-Blackwellized filter.
 
 Given an agent particle, a feature is Gaussian: its likelihood is a Kalman update with the rows of
-:mod:`dopslam.slam.bp.geometry` linearized at (particle, feature mean). Rows are whitened by the inverse Cholesky factor
-of the measurement's covariance and applied one at a time, so every update is a chain of scalar ones whatever the number
-of rows; a planar problem is a spatial one whose covariances vanish along z. The whitener is lower triangular in the
-order distance, AOA, AOD: its leading block whitens the marginal of distance and AOA, which is what a ``VA`` without AOD
-uses. Forms are the integers of :class:`~dopslam.slam.bp.records.Form`.
+:mod:`dopslam.slam.bp.geometry` linearized at (particle, feature mean). Rows are whitened by the inverse
+Cholesky factor of the measurement's covariance and applied one at a time, so every update is a chain of
+scalar ones whatever the number of rows; a planar problem is a spatial one whose covariances vanish along z.
+The whitener is lower triangular in the order distance, AOA, AOD: its leading block whitens the marginal of
+distance and AOA, which is what a ``VA`` without AOD uses. Forms are the integers of
+:class:`~dopslam.slam.bp.records.Form`.
 
-Arrays: ``agent`` (N, 6) = position, clock bias [m], cosine and sine of the heading; ``rows`` of (feature, type) pairs
-are CSR lists of measurements: row r owns pairs ``first[r]:first[r + 1]``.
+Arrays: ``agent`` (N, 6) = position, clock bias [m], cosine and sine of the heading; ``rows`` of (feature,
+type) pairs are CSR lists of measurements: row r owns pairs ``first[r]:first[r + 1]``.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ def linearize(
 ):  # fmt: skip
     """Residual and gradient with respect to the feature of one (particle i, feature, measurement).
 
-    (zx, zy, zz) is the measured AOA in the receiver's frame, turned by the particle's heading here; (wx, wy, wz) the
-    measured AOD. Fills residual (n,) and rows (n, 3); returns the number of rows used, 1 + count for ``VA``, else
-    1 + 2·count. Scalars instead of array slices: a slice costs as much as the row.
+    (zx, zy, zz) is the measured AOA in the receiver's frame, turned by the particle's heading here; (wx, wy,
+    wz) the measured AOD. Fills residual (n,) and rows (n, 3); returns the number of rows used, 1 + count for
+    ``VA``, else 1 + 2·count. Scalars instead of array slices: a slice costs as much as the row.
     """
     ex, ey, ez = qx - agent[i, 0], qy - agent[i, 1], qz - agent[i, 2]
     r = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
@@ -141,7 +142,8 @@ def _reset(packed, cov, offset):
 
 @compiled
 def _update(used, residual, rows, mean, cov):
-    """Scalar Kalman updates with unit noise; changes mean (3,) (an offset) and cov (6: xx xy xz yy yz zz) in place.
+    """Scalar Kalman updates with unit noise; changes mean (3,) (an offset) and cov (6: xx xy xz yy yz zz) in
+    place.
 
     Returns −½(χ² + ln det S).
     """
@@ -194,10 +196,10 @@ def row_likelihoods(
         out[r, :] = log_missed[r]
         _pack(cov[r], packed)
         qx, qy, qz = mean[r, 0], mean[r, 1], mean[r, 2]
-        for l in range(first[r], first[r + 1]):
-            m = pair[l]
-            factor = scale[l] * root
-            constant = log_weight[l] + _log_constant(form[r], count, whitener[m], factor)
+        for entry in range(first[r], first[r + 1]):
+            m = pair[entry]
+            factor = scale[entry] * root
+            constant = log_weight[entry] + _log_constant(form[r], count, whitener[m], factor)
             for i in range(particles):
                 used = linearize(
                     form[r], count, agent, i, qx, qy, qz, anchor, distance[m], aoa[m, 0], aoa[m, 1], aoa[m, 2],
@@ -224,8 +226,8 @@ def row_moments(
     """Moment-matched update of every row over particles and associations.
 
     ``log_extrinsic`` (R, N) is ln of the particles' weights without the message of the row's own feature;
-    ``log_rows`` (R, N) the result of :func:`row_likelihoods`; ``reference`` (R,) a common log scale, the largest sum of
-    the two. Particles below e^−16 of it are left out.
+    ``log_rows`` (R, N) the result of :func:`row_likelihoods`; ``reference`` (R,) a common log scale, the
+    largest sum of the two. Particles below e^−16 of it are left out.
 
     Returns
     -------
@@ -252,9 +254,9 @@ def row_moments(
         s1[:] = 0.0
         for a in range(6):
             s2[a] = s0 * packed[a]
-        for l in range(first[r], first[r + 1]):
-            m = pair[l]
-            constant = log_weight[l] + _log_constant(form[r], count, whitener[m], scale[l]) - reference[r]
+        for entry in range(first[r], first[r + 1]):
+            m = pair[entry]
+            constant = log_weight[entry] + _log_constant(form[r], count, whitener[m], scale[entry]) - reference[r]
             for i in range(particles):
                 if log_extrinsic[r, i] + log_rows[r, i] - reference[r] < -16.0:
                     continue
@@ -262,13 +264,13 @@ def row_moments(
                     form[r], count, agent, i, qx, qy, qz, anchor, distance[m], aoa[m, 0], aoa[m, 1], aoa[m, 2],
                     aod[m, 0], aod[m, 1], aod[m, 2], residual, rows,
                 )  # fmt: skip
-                _whiten(whitener, m, scale[l], used, residual, rows, white_residual, white_rows)
+                _whiten(whitener, m, scale[entry], used, residual, rows, white_residual, white_rows)
                 _reset(packed, cov6, offset)
                 value = _update(used, white_residual, white_rows, offset, cov6)
                 value += constant + log_extrinsic[r, i]
                 if value > -60.0:
                     w = np.exp(value)
-                    mass[r, 1 + l - first[r]] += w
+                    mass[r, 1 + entry - first[r]] += w
                     s0 += w
                     for a in range(3):
                         s1[a] += w * offset[a]
@@ -290,120 +292,3 @@ def row_moments(
             new_cov[r, 1, 2] = new_cov[r, 2, 1] = s2[4] / s0 - o1 * o2
             new_cov[r, 2, 2] = s2[5] / s0 - o2 * o2
     return mass, new_mean, new_cov
-
-
-@compiled
-def _cholesky_log_density(s, e, n):
-    """ln N(e; 0, s) of the leading n rows, s is destroyed; −inf if it is not positive."""
-    value = -0.5 * n * _LOG_2PI
-    for j in range(n):
-        d = s[j, j]
-        for k in range(j):
-            d -= s[j, k] * s[j, k]
-        if d <= 0.0:
-            return -np.inf
-        d = np.sqrt(d)
-        s[j, j] = d
-        y = e[j]
-        for k in range(j):
-            y -= s[j, k] * e[k]
-        e[j] = y / d
-        for i in range(j + 1, n):
-            v = s[i, j]
-            for k in range(j):
-                v -= s[i, k] * s[j, k]
-            s[i, j] = v / d
-        value -= 0.5 * e[j] * e[j] + np.log(d)
-    return value
-
-
-@compiled
-def gaussian_evidence(agent, weight, anchor, count, form, mean, cov, distance, aoa, aod, covariance, scale):
-    """Data association evidence ln N(z_m; predicted moments of row r), (R, M) (guard g1).
-
-    The predicted measurement's moments are taken over the weighted particles and the feature's Gaussian, in the chord
-    coordinates at the mean particle's prediction. Unlike a Monte Carlo average of sharp likelihoods this never
-    vanishes when no particle falls into a measurement's support. ``scale`` (R, M) multiplies 1/σ.
-    """
-    rows_total, particles, measurements = len(form), len(agent), len(distance)
-    out = np.empty((rows_total, measurements))
-    n = 1 + 2 * count
-    residual, rows, basis = np.empty(5), np.empty((5, 3)), np.empty((2, 3))
-    y, h = np.empty(5), np.empty(3)
-    s, e = np.empty((5, 5)), np.empty(5)
-    center = np.empty(6)
-    reference_a, reference_t = np.empty(3), np.empty(3)
-    for a in range(6):
-        center[a] = 0.0
-        for i in range(particles):
-            center[a] += weight[i] * agent[i, a]
-    norm = np.sqrt(center[4] ** 2 + center[5] ** 2) + 1e-12
-    center[4] /= norm
-    center[5] /= norm
-    for r in range(rows_total):
-        qx, qy, qz = mean[r, 0], mean[r, 1], mean[r, 2]
-        _directions(form[r], center, qx, qy, qz, anchor, reference_a, reference_t)
-        predicted, spread = np.zeros(5), np.zeros((5, 5))
-        for i in range(particles):
-            # The reference direction plays the measurement: its residual is minus the particle's offset from it.
-            used = linearize(
-                form[r], count, agent, i, qx, qy, qz, anchor, 0.0, reference_a[0], reference_a[1], reference_a[2],
-                reference_t[0], reference_t[1], reference_t[2], residual, rows,
-            )  # fmt: skip
-            for j in range(used):
-                y[j] = -residual[j]
-                for a in range(3):
-                    h[a] = rows[j, 0] * cov[r, 0, a] + rows[j, 1] * cov[r, 1, a] + rows[j, 2] * cov[r, 2, a]
-                predicted[j] += weight[i] * y[j]
-                for k in range(j + 1):
-                    mapped = h[0] * rows[k, 0] + h[1] * rows[k, 1] + h[2] * rows[k, 2]
-                    spread[j, k] += weight[i] * (y[j] * y[k] + mapped)
-        used = 1 + count if form[r] == VA else n
-        for j in range(used):
-            for k in range(j + 1):
-                spread[j, k] -= predicted[j] * predicted[k]
-        for m in range(measurements):
-            # A feature at the origin of the mean particle's frame would do; only the directions are compared.
-            _chord_to(reference_a, aoa[m], count, e, 1, basis)
-            if used > 1 + count:
-                _chord_to(reference_t, aod[m], count, e, 1 + count, basis)
-            e[0] = distance[m] - predicted[0]
-            for j in range(1, used):
-                e[j] -= predicted[j]
-            inverse = 1.0 / (scale[r, m] * scale[r, m])
-            for j in range(used):
-                for k in range(j + 1):
-                    s[j, k] = spread[j, k] + covariance[m, j, k] * inverse
-            out[r, m] = _cholesky_log_density(s, e, used)
-    return out
-
-
-@compiled
-def _chord_to(reference, measured, count, out, start, basis):
-    dot = reference[0] * measured[0] + reference[1] * measured[1] + reference[2] * measured[2]
-    stretch = np.sqrt(2.0 / max(1.0 + dot, 1e-12))
-    _tangents(reference[0], reference[1], reference[2], basis)
-    for j in range(count):
-        out[start + j] = stretch * (
-            basis[j, 0] * measured[0] + basis[j, 1] * measured[1] + basis[j, 2] * measured[2]
-        )
-
-
-@compiled
-def _directions(form, agent, qx, qy, qz, anchor, arrival, departure):
-    """Arrival in the receiver's frame and departure in the world frame of one feature."""
-    ex, ey, ez = qx - agent[0], qy - agent[1], qz - agent[2]
-    r = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
-    ex, ey, ez = ex / r, ey / r, ez / r
-    nx, ny, nz = qx - anchor[0], qy - anchor[1], qz - anchor[2]
-    reach = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-    nx, ny, nz = nx / reach, ny / reach, nz / reach
-    c, s = agent[4], agent[5]
-    arrival[0], arrival[1], arrival[2] = c * ex + s * ey, -s * ex + c * ey, ez
-    if form == LOS:
-        departure[0], departure[1], departure[2] = -ex, -ey, -ez
-    elif form == PS:
-        departure[0], departure[1], departure[2] = nx, ny, nz
-    else:
-        en = ex * nx + ey * ny + ez * nz
-        departure[0], departure[1], departure[2] = 2 * en * nx - ex, 2 * en * ny - ey, 2 * en * nz - ez

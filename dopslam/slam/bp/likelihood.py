@@ -1,15 +1,16 @@
 """Likelihoods of stacked particles: three backends with one meaning.
 
-Rows are features of one form, N particles each: position x, y [m] and amplitude u (K, N), stacked by index with agent
-particles x, y, cos κ, sin κ (N,). In the plane, single precision. Every density is p_d(u) f(z | x, y, u): Gaussian in
-distance, in the chords of AOA and AOD (von Mises; the squared chord keeps the digits that 1 − cos loses) with the Fisher variances at u, and the untruncated Rician
-amplitude in its asymptotic form √(z/(2πσ_u²u)) exp(−(z − u)²/2σ_u²)(1 + σ_u²/(8zu)), exact to 1 % for zu > 2.
+Rows are features of one form, N particles each: position x, y [m] and amplitude u (K, N), stacked by index
+with agent particles x, y, cos κ, sin κ (N,). In the plane, single precision. Every density is p_d(u) f(z | x,
+y, u): Gaussian in distance, in the chords of AOA and AOD (von Mises; the squared chord keeps the digits that
+1 − cos loses) with the Fisher variances at u, and the untruncated Rician amplitude in its asymptotic form
+√(z/(2πσ_u²u)) exp(−(z − u)²/2σ_u²)(1 + σ_u²/(8zu)), exact to 1 % for zu > 2.
 
-``evidence`` averages over particles, (K, M); ``messages`` gives λ = 1 − p_d + Σ_m ν_m p_d f(z_m | ·), (K, N), without
-storing anything of size (M, N).
+``evidence`` averages over particles, (K, M); ``messages`` gives λ = 1 − p_d + Σ_m ν_m p_d f(z_m | ·), (K, N),
+without storing anything of size (M, N).
 
-The backends: ``numpy`` is the plain vectorized version, ``numba`` the compiled loop for small N, ``drjit`` the
-parallel one (LLVM on the CPU, and the same code on a GPU), which needs a working libLLVM.
+The backends: ``numpy`` is the plain vectorized version, ``numba`` the compiled loop for small N, ``drjit``
+the parallel one (LLVM on the CPU, and the same code on a GPU), which needs a working libLLVM.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ _MISSED_BINS = 256
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """What the likelihoods need besides particles and scan: unit deviations (3,), anchor (3,), 1/(4 N_s), the table of
-    1 − p_d(u) over ``missed_step``·index."""
+    """What the likelihoods need besides particles and scan: unit deviations (3,), anchor (3,), 1/(4 N_s), the
+    table of 1 − p_d(u) over ``missed_step``·index."""
 
     unit: Array
     anchor: Array
@@ -56,9 +57,7 @@ class Constants:
 class Backend(Protocol):
     """Sums over particles of one group of rows with the same form; agent is (4, N)."""
 
-    def evidence(
-        self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, c: Constants
-    ) -> Array: ...
+    def evidence(self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, c: Constants) -> Array: ...
 
     def messages(
         self, form: Form, x: Array, y: Array, u: Array, agent: Array, scan: Scan, nu: Array, c: Constants
@@ -80,9 +79,7 @@ def backend(name: str) -> Backend:
 
 def _scan_columns(scan: Scan) -> Array:
     """(M, 6) float32: distance, AOA x y, AOD x y, amplitude."""
-    return np.column_stack([scan.distance, scan.aoa[:, :2], scan.aod[:, :2], scan.amplitude]).astype(
-        np.float32
-    )
+    return np.column_stack([scan.distance, scan.aoa[:, :2], scan.aod[:, :2], scan.amplitude]).astype(np.float32)
 
 
 def _norms(form: Form, c: Constants) -> tuple[float, float]:

@@ -1,7 +1,8 @@
 """Dr.Jit backend of :mod:`dopslam.slam.bp.likelihood`: one fused kernel per form and number of measurements.
 
-Lanes are row·N + particle. Measurements are read from small uniform buffers, so a kernel is compiled once per padded
-number of measurements and reused for any number of rows and particles. On a machine with CUDA the same code runs there.
+Lanes are row·N + particle. Measurements are read from small uniform buffers, so a kernel is compiled once per
+padded number of measurements and reused for any number of rows and particles. On a machine with CUDA the same
+code runs there.
 """
 
 from __future__ import annotations
@@ -45,12 +46,11 @@ class DrJitBackend:
         uniform, z = self._uniform(form, scan, c)
         count = dr.width(z[0])
         densities, _ = self._densities(form, buffers, row * particles + own, own, uniform, z, count)
-        # One sum per block, and a block is never shared by threads: the order of the additions is always the same.
+        # One sum per block, and a block is never shared by threads: the order of the additions is always the
+        # same.
         sums = [dr.zeros(Float, features * blocks) for _ in range(count)]
         for total, density in zip(sums, densities, strict=True):
-            dr.scatter_reduce(
-                dr.ReduceOp.Add, total, density, lane // _BLOCK, valid, mode=dr.ReduceMode.Local
-            )
+            dr.scatter_reduce(dr.ReduceOp.Add, total, density, lane // _BLOCK, valid, mode=dr.ReduceMode.Local)
         dr.eval(sums)
         parts = np.stack([total.numpy() for total in sums[: len(scan)]], axis=1).astype(float)
         return parts.reshape(features, blocks, len(scan)).sum(axis=1) / particles
@@ -98,9 +98,7 @@ class DrJitBackend:
         dr, Float = self._dr, self._float
         qx, qy, ui = (dr.gather(Float, a, index) for a in buffers[0])
         ax, ay, cos, sin = (dr.gather(Float, a, own) for a in buffers[1])
-        gd, ga, gt, anchor_x, anchor_y, norm, quarter = (
-            dr.gather(Float, uniform, self._index(j)) for j in range(7)
-        )
+        gd, ga, gt, anchor_x, anchor_y, norm, quarter = (dr.gather(Float, uniform, self._index(j)) for j in range(7))
         ex, ey = qx - ax, qy - ay
         inverse = dr.rsqrt(ex * ex + ey * ey)
         d = (ex * ex + ey * ey) * inverse

@@ -1,8 +1,8 @@
 """Motion of the agent's particles.
 
-A particle is a row of eight numbers: position (3) [m], velocity (3) [m/s], clock bias b·c [m] and heading [rad]. The
-array's azimuth is the direction of travel; :class:`ConstantVelocity` derives it from the velocity as paper B does,
-:class:`SpeedHeading` carries it as a state of its own, which stays defined at standstill.
+A particle is a row of eight numbers: position (3) [m], velocity (3) [m/s], clock bias b·c [m] and heading
+[rad]. The array's azimuth is the direction of travel; :class:`ConstantVelocity` derives it from the velocity
+as paper B does, :class:`SpeedHeading` carries it as a state of its own, which stays defined at standstill.
 """
 
 from __future__ import annotations
@@ -96,9 +96,7 @@ class SpeedHeading:
         position = x[:, POSITION].copy()
         position[:, 0] += chord * np.cos(middle) + self.position_walk * noise[:, 2]
         position[:, 1] += chord * np.sin(middle) + self.position_walk * noise[:, 3]
-        return self._particles(
-            position, new_speed, heading + drift, x[:, BIAS] + self.bias_walk * noise[:, 4]
-        )
+        return self._particles(position, new_speed, heading + drift, x[:, BIAS] + self.bias_walk * noise[:, 4])
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 6) free coordinates: position, speed, heading about its circular mean, bias."""

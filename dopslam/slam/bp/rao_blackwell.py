@@ -1,11 +1,14 @@
-"""Rao-Blackwellized belief-propagation SLAM (paper B): particles for the agent, a Gaussian per feature and type.
+"""Rao-Blackwellized belief-propagation SLAM (paper B): particles for the agent, a Gaussian per feature and
+type.
 
-The messages are those of paper B's factor graph (theory §5); integrals over a feature are Kalman updates given the
-agent particle, integrals over the agent are sums over particles. Three guards keep few particles sufficient:
+The messages are those of paper B's factor graph (theory §5); integrals over a feature are Kalman updates
+given the agent particle, integrals over the agent are sums over particles. Three guards keep few particles
+sufficient:
 
 * g1: data association uses the Gaussian moments of the predicted measurement, not a Monte Carlo average;
-* g2: when the agent's update leaves fewer than ``effective_floor``·N effective particles, the measurement noise is
-  annealed from wide to true, with resampling and a covariance-preserving kernel jitter between the stages;
+* g2: when the agent's update leaves fewer than ``effective_floor``·N effective particles, the measurement
+  noise is annealed from wide to true, with resampling and a covariance-preserving kernel jitter between the
+  stages;
 * g3: a small uniform part in the amplitude likelihood lets a blocked path return as the same feature.
 """
 
@@ -15,12 +18,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam.models.measurement import wrap
 from dopslam.slam.bp import kernels
-from dopslam.slam.bp.belief import amplitude_messages, effective_size, kernel_jitter, normalized, systematic
+from dopslam.slam.bp.belief import effective_size, kernel_jitter, normalized, systematic
 from dopslam.slam.bp.births import births, order_for
-from dopslam.slam.bp.motion import BIAS, HEADING, POSITION, VELOCITY, Motion
-from dopslam.slam.bp.records import Estimate, Features, Form, Info, Parameters, Scan
+from dopslam.slam.bp.evidence import gaussian_evidence
+from dopslam.slam.bp.motion import Motion
+from dopslam.slam.bp.records import Features, Form, Info, Parameters, Scan
+from dopslam.slam.bp.rows import (
+    amplitude_posterior,
+    amplitudes_of,
+    estimate_of,
+    kernel_agent,
+    owner_messages,
+    predict,
+    row_arrays,
+    rows_of,
+    thinned,
+)
 from dopslam.slam.loopy import Association, loopy_association
 
 _LOG_ZERO = -700.0
@@ -36,7 +50,8 @@ class State:
     """What the filter carries from step to step.
 
     agent : (N, 8) particles (:mod:`dopslam.slam.bp.motion`); log_weight : (N,)
-    features : :class:`Features`; sight : (3,) existence, mean and variance of the amplitude of the line of sight
+    features : :class:`Features`; sight : (3,) existence, mean and variance of the amplitude of the line of
+        sight
     next_label : label of the next new feature
     """
 
@@ -45,21 +60,6 @@ class State:
     features: Features
     sight: np.ndarray
     next_label: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """One step's likelihood rows: the line of sight (row 0), then every (feature, type)."""
-
-    form: np.ndarray  # (R,)
-    owner: np.ndarray  # (R,) 0 line of sight, 1 + k feature k
-    mean: np.ndarray  # (R, 3)
-    covariance: np.ndarray  # (R, 3, 3)
-    log_missed: np.ndarray  # (R,)
-    first: np.ndarray  # (R + 1,)
-    pair: np.ndarray  # (L,) measurement
-    scale: np.ndarray  # (L,)
-    log_weight: np.ndarray  # (L,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +84,11 @@ class RaoBlackwell:
     birth_particles: int = 128
     gate: float = 1e-7
 
-    def init(
-        self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None
-    ) -> State:
+    def init(self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None) -> State:
         """State before the first step from initial particles (:mod:`dopslam.slam.bp.start`).
 
-        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %; without it the prior is as wide as
-        the amplitudes' support.
+        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %; without it the prior is
+        as wide as the amplitudes' support.
         """
         end = self.parameters.amplitude_end
         mean, deviation = (end / 4, end / 4) if sight_amplitude is None else (sight_amplitude, 0.1 * sight_amplitude)
@@ -103,15 +101,15 @@ class RaoBlackwell:
         """Predict, associate, update agent and features, add births, prune, estimate."""
         parameters = self.parameters
         agent = self.motion.predict(rng, state.agent)
-        features, sight = _predict(parameters, state.features, state.sight)
-        amplitudes = _amplitudes(parameters, features, sight, scan)
+        features, sight = predict(parameters, state.features, state.sight)
+        amplitudes = amplitudes_of(parameters, features, sight, scan)
         log_false_alarm = parameters.log_false_alarm(scan)
         log_birth = self._births(rng, agent, state.log_weight, scan)[0] - log_false_alarm[:, None]
         weight = np.vstack([np.r_[sight[0], np.zeros(len(parameters.types) - 1)], features.weight])
         association = self._associate(
             agent, state.log_weight, features, weight, amplitudes, scan, log_false_alarm, log_birth
         )
-        rows = _rows(self, features, amplitudes, association, scan, log_false_alarm)
+        rows = rows_of(parameters, self.gate, features, amplitudes, association, scan, log_false_alarm)
         agent, log_weight, log_rows, log_owner, stages = self._update_agent(
             rng, agent, state.log_weight, rows, weight, 1 - association.marginal[0, 0], scan
         )
@@ -132,10 +130,10 @@ class RaoBlackwell:
     def _associate(self, agent, log_weight, features, weight, amplitudes, scan, log_false_alarm, log_birth):
         """Loopy data association on the Gaussian evidence (g1), everything relative to the false alarms."""
         types = self.parameters.types
-        form, mean, covariance, owner = _row_arrays(self.parameters, features)
-        keep = _thinned(normalized(log_weight), self.evidence_particles)
-        log_n = kernels.gaussian_evidence(
-            _kernel_agent(agent[keep[0]]), keep[1], self.parameters.anchor, scan.tangents, form, mean, covariance,
+        form, mean, covariance, owner = row_arrays(self.parameters, features)
+        keep = thinned(normalized(log_weight), self.evidence_particles)
+        log_n = gaussian_evidence(
+            kernel_agent(agent[keep[0]]), keep[1], self.parameters.anchor, scan.tangents, form, mean, covariance,
             scan.distance, scan.aoa, scan.aod, scan.covariance, amplitudes.scale[owner],
         )  # fmt: skip
         if Form.VA in types:  # its AOD is uniform: all densities live in the same measurement space
@@ -148,13 +146,11 @@ class RaoBlackwell:
         log_detected += amplitudes.log_evidence - log_false_alarm
         exists = weight.sum(axis=1)
         log_missed = np.log(exists * np.exp(amplitudes.log_missed) + np.maximum(1 - exists, 0.0))
-        return loopy_association(
-            log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_birth, axis=1))
-        )
+        return loopy_association(log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_birth, axis=1)))
 
     def _row_likelihoods(self, agent, rows, scan, whitener, temper):
         return kernels.row_likelihoods(
-            _kernel_agent(agent), self.parameters.anchor, scan.tangents, rows.form, rows.mean, rows.covariance,
+            kernel_agent(agent), self.parameters.anchor, scan.tangents, rows.form, rows.mean, rows.covariance,
             rows.log_missed, rows.first, rows.pair, rows.scale, rows.log_weight,
             scan.distance, scan.aoa, scan.aod, whitener, temper,
         )  # fmt: skip
@@ -165,7 +161,7 @@ class RaoBlackwell:
 
         def messages(particles, temper):
             log_rows = self._row_likelihoods(particles, rows, scan, whitener, temper)
-            log_owner = _owner_messages(log_rows, weight, len(self.parameters.types))
+            log_owner = owner_messages(log_rows, weight, len(self.parameters.types))
             return log_rows, log_owner
 
         size = len(agent)
@@ -185,8 +181,9 @@ class RaoBlackwell:
         log_rows, log_owner = messages(agent, 1.0)
         total = log_owner.sum(axis=0)
         stages = 0
-        # Widen the noise, whose gradient reaches far, and anneal it to its true width. A likelihood too sharp for the
-        # particles leaves them all with the weight of a missed detection: many effective ones, and all of them wrong.
+        # Widen the noise, whose gradient reaches far, and anneal it to its true width. A likelihood too sharp
+        # for the particles leaves them all with the weight of a missed detection: many effective ones, and
+        # all of them wrong.
         temper, reached = 0.0, np.zeros(size)
         while temper < 1.0 and stages < _STAGES and lost(log_weight + total - reached, log_rows):
             stages += 1
@@ -210,17 +207,14 @@ class RaoBlackwell:
             total = log_owner.sum(axis=0)
         # Then powers of what is left, which cost one evaluation per stage.
         while (
-            effective_size(normalized(log_weight + total - reached)) < self.effective_floor * size
-            and stages < _STAGES
+            effective_size(normalized(log_weight + total - reached)) < self.effective_floor * size and stages < _STAGES
         ):
             stages += 1
             left = total - reached
             low, high = 0.0, 1.0
             for _ in range(12):
                 middle = 0.5 * (low + high)
-                enough = (
-                    effective_size(normalized(log_weight + middle * left)) >= self.effective_target * size
-                )
+                enough = effective_size(normalized(log_weight + middle * left)) >= self.effective_target * size
                 low, high = (middle, high) if enough else (low, middle)
             agent = self._moved(rng, agent, log_weight + high * left)
             log_rows, log_owner = messages(agent, 1.0)
@@ -235,15 +229,13 @@ class RaoBlackwell:
         chosen = systematic(rng, normalized(log_weight), len(agent))
         return self.motion.rebuild(kernel_jitter(rng, self.motion.coordinates(agent[chosen]), self.jitter))
 
-    def _update_features(
-        self, agent, log_weight, log_rows, log_owner, rows, weight, features, amplitudes, scan
-    ):
+    def _update_features(self, agent, log_weight, log_rows, log_owner, rows, weight, features, amplitudes, scan):
         """Moment matching over particles and associations with extrinsic weights w_i/γ_k(i)."""
         log_w = np.maximum(log_weight - np.logaddexp.reduce(log_weight), _LOG_ZERO)
         log_extrinsic = log_w - log_owner[rows.owner]
         reference = (log_extrinsic + log_rows).max(axis=1)
         mass, mean, covariance = kernels.row_moments(
-            _kernel_agent(agent), self.parameters.anchor, scan.tangents, rows.form, rows.mean, rows.covariance,
+            kernel_agent(agent), self.parameters.anchor, scan.tangents, rows.form, rows.mean, rows.covariance,
             rows.log_missed, rows.first, rows.pair, rows.scale, rows.log_weight,
             scan.distance, scan.aoa, scan.aod, np.linalg.inv(np.linalg.cholesky(scan.covariance)),
             log_extrinsic, log_rows, reference,
@@ -251,10 +243,8 @@ class RaoBlackwell:
         types = len(self.parameters.types)
         row_weight = np.r_[weight[0, 0], weight[1:].ravel()]
         share = mass * (row_weight * np.exp(reference))[:, None]  # joint of type, existence and association
-        per_owner = np.vstack(
-            [share[:1], share[1:].reshape(len(features), types, share.shape[1]).sum(axis=1)]
-        )
-        amplitude = _amplitude_posterior(rows, per_owner, amplitudes, types)
+        per_owner = np.vstack([share[:1], share[1:].reshape(len(features), types, share.shape[1]).sum(axis=1)])
+        amplitude = amplitude_posterior(rows, per_owner, amplitudes, types)
         updated = Features(
             features.label,
             share[1:].sum(axis=1).reshape(len(features), types),
@@ -269,7 +259,7 @@ class RaoBlackwell:
         parameters = self.parameters
         count, types = scan.tangents, parameters.types
         chosen = systematic(rng, normalized(log_weight), self.birth_particles)
-        particles, uniform = _kernel_agent(agent[chosen]), np.full(len(chosen), 1 / len(chosen))
+        particles, uniform = kernel_agent(agent[chosen]), np.full(len(chosen), 1 / len(chosen))
         log_c = np.full((len(scan), len(types)), -np.inf)
         mean, covariance = np.zeros((len(scan), len(types), 3)), np.zeros((len(scan), len(types), 3, 3))
         constant = np.log(parameters.birth_rate / parameters.volume / parameters.amplitude_end)
@@ -283,9 +273,7 @@ class RaoBlackwell:
             )  # fmt: skip
         return log_c + constant + np.log(parameters.prior), mean, covariance
 
-    def _born(
-        self, rng, agent, log_weight, scan, association: Association, log_birth, next_label
-    ) -> Features:
+    def _born(self, rng, agent, log_weight, scan, association: Association, log_birth, next_label) -> Features:
         """New features that are likelier than the pruning threshold, placed by the updated agent."""
         log_new = np.logaddexp.reduce(log_birth, axis=1)
         existence = association.new * np.exp(log_new - np.logaddexp(0.0, log_new))
@@ -310,154 +298,3 @@ class RaoBlackwell:
             np.column_stack([chosen.amplitude, self.parameters.amplitude.variance(chosen.amplitude)]),
         )
         return born.select(possible)
-
-
-@dataclass(frozen=True, slots=True)
-class _Amplitudes:
-    """Amplitude messages of line of sight and features, owners (K + 1) × measurements (M)."""
-
-    log_evidence: np.ndarray
-    mean: np.ndarray
-    variance: np.ndarray
-    log_missed: np.ndarray
-    missed_mean: np.ndarray
-    missed_variance: np.ndarray
-    scale: np.ndarray  # 1/σ at the filtered amplitude over 1/σ at the measured one
-
-
-def _kernel_agent(agent: np.ndarray) -> np.ndarray:
-    heading = agent[:, HEADING]
-    return np.column_stack([agent[:, POSITION], agent[:, BIAS], np.cos(heading), np.sin(heading)])
-
-
-def _thinned(weight: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Evenly strided particles and their renormalized weights."""
-    index = np.arange(0, len(weight), max(1, len(weight) // size))
-    total = weight[index].sum()
-    if total <= 0:
-        index, total = np.arange(len(weight)), weight.sum()
-    return index, weight[index] / total
-
-
-def _predict(parameters: Parameters, features: Features, sight: np.ndarray) -> tuple[Features, np.ndarray]:
-    """Survival, type chain W ← p_s W [Q], random walks; the line of sight may vanish and return."""
-    walk = np.zeros((3, 3))
-    axes = 3 if parameters.spatial else 2
-    walk[range(axes), range(axes)] = parameters.position_walk**2
-    amplitude = features.amplitude.copy()
-    amplitude[:, 1] += (parameters.amplitude_walk * amplitude[:, 0]) ** 2
-    predicted = Features(
-        features.label,
-        parameters.survival * features.weight @ parameters.transition,
-        features.mean,
-        features.covariance + walk,
-        amplitude,
-    )
-    exists = parameters.survival * sight[0] + parameters.return_probability * (1 - sight[0])
-    return predicted, np.array([exists, sight[1], sight[2] + (parameters.amplitude_walk * sight[1]) ** 2])
-
-
-def _amplitudes(parameters: Parameters, features: Features, sight: np.ndarray, scan: Scan) -> _Amplitudes:
-    """Amplitude messages with the reacquisition mixture (g3)."""
-    prior = np.vstack([sight[1:], features.amplitude])
-    log_a, mean, variance, log_missed, missed_mean, missed_variance = amplitude_messages(
-        parameters.amplitude, prior[:, 0], prior[:, 1], scan.amplitude
-    )
-    share = parameters.reacquisition
-    if share > 0:
-        log_uniform = np.log(share / parameters.amplitude_end)
-        known = np.log1p(-share) + log_a
-        log_a = np.logaddexp(known, log_uniform)
-        p = np.exp(known - log_a)
-        z, fresh = scan.amplitude[None, :], parameters.amplitude.variance(scan.amplitude)[None, :]
-        mixed = p * mean + (1 - p) * z
-        variance = p * (variance + (mean - mixed) ** 2) + (1 - p) * (fresh + (z - mixed) ** 2)
-        mean = mixed
-    scale = mean / scan.amplitude if parameters.rescale_covariance else np.ones_like(mean)
-    return _Amplitudes(log_a, mean, variance, log_missed, missed_mean, missed_variance, scale)
-
-
-def _row_arrays(parameters: Parameters, features: Features):
-    types = np.array(parameters.types, dtype=np.int64)
-    count = len(features)
-    form = np.concatenate([[int(Form.LOS)], np.tile(types, count)]).astype(np.int64)
-    mean = np.concatenate([parameters.anchor[None], features.mean.reshape(-1, 3)])
-    covariance = np.concatenate([np.zeros((1, 3, 3)), features.covariance.reshape(-1, 3, 3)])
-    owner = np.concatenate([[0], 1 + np.repeat(np.arange(count), types.size)]).astype(np.int64)
-    return form, mean, covariance, owner
-
-
-def _rows(
-    filter_: RaoBlackwell, features, amplitudes: _Amplitudes, association, scan, log_false_alarm
-) -> _Rows:
-    """Gated association lists: the pairs whose probability exceeds the gate, for every type of the owner."""
-    form, mean, covariance, owner = _row_arrays(filter_.parameters, features)
-    likely = association.marginal[:, 1:] > filter_.gate
-    lists = [np.flatnonzero(row) for row in likely]
-    first = np.concatenate([[0], np.cumsum([lists[k].size for k in owner])]).astype(np.int64)
-    pair = np.concatenate([lists[k] for k in owner]).astype(np.int64)
-    who = np.repeat(owner, np.diff(first))
-    log_weight = association.log_nu[who, pair] + amplitudes.log_evidence[who, pair] - log_false_alarm[pair]
-    uniform = np.log(2 * np.pi if scan.tangents == 1 else 4 * np.pi)
-    log_weight -= np.where(np.repeat(form, np.diff(first)) == Form.VA, uniform, 0.0)
-    return _Rows(
-        form, owner, mean, covariance, amplitudes.log_missed[owner], first, pair, amplitudes.scale[who, pair], log_weight
-    )  # fmt: skip
-
-
-def _owner_messages(log_rows: np.ndarray, weight: np.ndarray, types: int) -> np.ndarray:
-    """ln γ_k(i) (K + 1, N) from the rows' ln λ and the weights W (K + 1, T)."""
-    log_w = np.log(np.maximum(weight, 1e-300))
-    log_none = np.log(np.maximum(1 - weight.sum(axis=1), 1e-12))
-    result = np.empty((len(weight), log_rows.shape[1]))
-    result[0] = np.logaddexp(log_w[0, 0] + log_rows[0], log_none[0])
-    by_type = log_rows[1:].reshape(len(weight) - 1, types, log_rows.shape[1]) + log_w[1:, :, None]
-    result[1:] = np.logaddexp(np.logaddexp.reduce(by_type, axis=1), log_none[1:, None])
-    return result
-
-
-def _amplitude_posterior(rows: _Rows, share: np.ndarray, amplitudes: _Amplitudes, types: int) -> np.ndarray:
-    """(K + 1, 2) mean and variance of the amplitude, matched over missed and associated measurements."""
-    result = np.empty((len(share), 2))
-    for k in range(len(share)):
-        row = 0 if k == 0 else 1 + (k - 1) * types
-        pairs = rows.pair[rows.first[row] : rows.first[row + 1]]
-        p = share[k, : 1 + pairs.size]
-        total = p.sum()
-        p = p / total if total > 1e-280 else np.r_[1.0, np.zeros(pairs.size)]
-        mean = np.append(amplitudes.missed_mean[k], amplitudes.mean[k, pairs])
-        variance = np.append(amplitudes.missed_variance[k], amplitudes.variance[k, pairs])
-        result[k, 0] = p @ mean
-        result[k, 1] = p @ (variance + (mean - result[k, 0]) ** 2)
-    return result
-
-
-def estimate_of(
-    parameters: Parameters, agent: np.ndarray, weight: np.ndarray, features: Features
-) -> Estimate:
-    """MMSE estimates (16)–(18) of the agent and of the declared features."""
-    position = weight @ agent[:, POSITION]
-    centered = agent[:, POSITION] - position
-    phasor = weight @ np.exp(1j * agent[:, HEADING])
-    heading = float(np.angle(phasor))
-    bias = float(weight @ agent[:, BIAS])
-    offset = np.column_stack([centered[:, :2], wrap(agent[:, HEADING] - heading), agent[:, BIAS] - bias])
-    declared = features.select(features.existence > parameters.detection_threshold)
-    belief = declared.weight / declared.existence[:, None]
-    best = belief.argmax(axis=1)
-    index = np.arange(len(declared))
-    return Estimate(
-        position=position,
-        covariance=(weight[:, None] * centered).T @ centered,
-        velocity=weight @ agent[:, VELOCITY],
-        heading=heading,
-        heading_deviation=float(np.sqrt(max(-2 * np.log(min(abs(phasor), 1.0)), 0.0))),
-        bias=bias,
-        state_covariance=(weight[:, None] * offset).T @ offset,
-        label=declared.label,
-        existence=declared.existence,
-        type_belief=belief,
-        feature=declared.mean[index, best],
-        feature_covariance=declared.covariance[index, best],
-        amplitude=declared.amplitude[:, 0],
-    )

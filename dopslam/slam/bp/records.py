@@ -1,8 +1,8 @@
 """Records of the belief-propagation filters: what they read, what they are told, what they answer.
 
-World frame, SI units, radians. Planar problems are three-dimensional ones in the plane z = const: directions are unit
-vectors throughout, so no angle is ever wrapped and no pole excluded; a planar scan has one tangent coordinate per
-direction (azimuth), a spatial one two (azimuth, elevation).
+World frame, SI units, radians. Planar problems are three-dimensional ones in the plane z = const: directions
+are unit vectors throughout, so no angle is ever wrapped and no pole excluded; a planar scan has one tangent
+coordinate per direction (azimuth), a spatial one two (azimuth, elevation).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
 class Form(IntEnum):
     """Form of a likelihood: which path model explains distance, AOA and AOD.
 
-    ``LOS`` eq. (9); ``VA`` eq. (8), a virtual anchor that explains distance and AOA only, its AOD left uniform;
-    ``PS`` eq. (10); ``VA_AOD`` a virtual anchor of one reflection that explains the AOD as well, through the mirror
-    law (the paper's future work).
+    ``LOS`` eq. (9); ``VA`` eq. (8), a virtual anchor that explains distance and AOA only, its AOD left
+    uniform; ``PS`` eq. (10); ``VA_AOD`` a virtual anchor of one reflection that explains the AOD as well,
+    through the mirror law (the paper's future work).
     """
 
     LOS = 0
@@ -45,8 +45,8 @@ class Scan:
     aoa : (M, 3) unit vectors towards the arriving path, receiver's frame (x axis along the heading)
     aod : (M, 3) unit vectors of departure, world frame
     amplitude : (M,) normalized amplitudes
-    covariance : (M, n, n) of (distance, AOA tangents, AOD tangents) at the measured amplitude; n = 3 in the plane
-        (azimuth tangents), 5 in space (azimuth, then elevation tangents of each direction)
+    covariance : (M, n, n) of (distance, AOA tangents, AOD tangents) at the measured amplitude; n = 3 in the
+        plane (azimuth tangents), 5 in space (azimuth, then elevation tangents of each direction)
     """
 
     distance: np.ndarray
@@ -63,9 +63,7 @@ class Scan:
                 raise FilterError(f"Scan.{name} has shape {getattr(self, name).shape}, expected {shape}")
         n = self.covariance.shape[-1]
         if self.covariance.shape != (rows, n, n) or n not in (3, 5):
-            raise FilterError(
-                f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n 3 or 5"
-            )
+            raise FilterError(f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n 3 or 5")
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -77,9 +75,7 @@ class Scan:
 
     def select(self, rows) -> Scan:
         """The scan restricted to some of its measurements."""
-        return Scan(
-            self.distance[rows], self.aoa[rows], self.aod[rows], self.amplitude[rows], self.covariance[rows]
-        )
+        return Scan(self.distance[rows], self.aoa[rows], self.aod[rows], self.amplitude[rows], self.covariance[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +101,8 @@ class Parameters:
     return_probability : probability that a vanished line of sight returns in one step
     detection_threshold, pruning_threshold : on the existence probability
     spatial : whether features have three unknown coordinates
-    rescale_covariance : whether the scan's covariances scale with 1/u² and are re-evaluated at the filtered amplitude
+    rescale_covariance : whether the scan's covariances scale with 1/u² and are re-evaluated at the filtered
+        amplitude
     """
 
     anchor: np.ndarray
@@ -130,13 +127,9 @@ class Parameters:
 
     def __post_init__(self):
         if not self.types or Form.LOS in self.types or len(set(self.types)) != len(self.types):
-            raise FilterError(
-                f"Parameters.types must be distinct forms among VA, PS, VA_AOD, got {self.types}"
-            )
+            raise FilterError(f"Parameters.types must be distinct forms among VA, PS, VA_AOD, got {self.types}")
         if self.type_prior is not None and len(self.type_prior) != len(self.types):
-            raise FilterError(
-                f"Parameters.type_prior has {len(self.type_prior)} entries for {len(self.types)} types"
-            )
+            raise FilterError(f"Parameters.type_prior has {len(self.type_prior)} entries for {len(self.types)} types")
 
     @property
     def prior(self) -> np.ndarray:

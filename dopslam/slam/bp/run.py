@@ -120,9 +120,7 @@ def evaluate(
             mine = owner == place
             same = scatterer if form == Form.PS else ~scatterer
             if mine.any():
-                beliefs[k, place] = (
-                    estimate.existence[mine] * estimate.type_belief[mine][:, same].sum(axis=1)
-                ).max()
+                beliefs[k, place] = (estimate.existence[mine] * estimate.type_belief[mine][:, same].sum(axis=1)).max()
     last = history.infos[-1].estimate.feature
     gaps = np.linalg.norm(last[:, None] - experiment.features, axis=2)
     return Score(
@@ -139,9 +137,7 @@ def evaluate(
     )
 
 
-def _owners(
-    experiment: Experiment, position: np.ndarray, features: np.ndarray, near: float = 1.0
-) -> np.ndarray:
+def _owners(experiment: Experiment, position: np.ndarray, features: np.ndarray, near: float = 1.0) -> np.ndarray:
     """(D,) true feature within ``near`` [m] of each estimate, the incidence point counting as well; −1 for none."""
     owners = np.full(len(features), -1)
     for place, (form, q) in enumerate(zip(experiment.forms, experiment.features, strict=True)):
@@ -149,9 +145,7 @@ def _owners(
         if form != Form.PS:
             normal = q - experiment.anchor
             middle = 0.5 * (q + experiment.anchor)
-            candidates.append(
-                position + (q - position) * ((middle - position) @ normal) / ((q - position) @ normal)
-            )
+            candidates.append(position + (q - position) * ((middle - position) @ normal) / ((q - position) @ normal))
         for candidate in candidates:
             owners[np.linalg.norm(features - candidate, axis=1) < near] = place
     return owners

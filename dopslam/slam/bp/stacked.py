@@ -1,9 +1,9 @@
 """Stacked-particle belief-propagation SLAM, the implementation that paper B describes (in the plane).
 
-Agent and features are particles, coupled by index: particle i of a feature is evaluated with particle i of the agent,
-after a random permutation that keeps copies of one ancestor apart. Each type of a feature has its own particle set (a
-scatterer's position is meaningless as a virtual anchor's). The likelihoods run on a backend of
-:mod:`dopslam.slam.bp.likelihood`; everything else is linear-time NumPy and compiled loops.
+Agent and features are particles, coupled by index: particle i of a feature is evaluated with particle i of
+the agent, after a random permutation that keeps copies of one ancestor apart. Each type of a feature has its
+own particle set (a scatterer's position is meaningless as a virtual anchor's). The likelihoods run on a
+backend of :mod:`dopslam.slam.bp.likelihood`; everything else is linear-time NumPy and compiled loops.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from dopslam.slam.bp.belief import effective_size, normalized, systematic
 from dopslam.slam.bp.births import births, order_for
 from dopslam.slam.bp.likelihood import Backend, Constants
 from dopslam.slam.bp.motion import BIAS, HEADING, POSITION, Motion
-from dopslam.slam.bp.rao_blackwell import estimate_of
 from dopslam.slam.bp.records import Features, Form, Info, Parameters, Scan
+from dopslam.slam.bp.rows import estimate_of
 from dopslam.slam.loopy import loopy_association
 
 _BIRTH_AGENTS = 500
@@ -27,8 +27,8 @@ _BIRTH_AGENTS = 500
 
 @dataclass(frozen=True, slots=True)
 class StackedState:
-    """Agent (N, 8) with log weights (N,), features' particles (T, 3, K, N) = x, y [m], u; labels (K,), weights
-    (K, T); the line of sight's existence and amplitude particles (N,)."""
+    """Agent (N, 8) with log weights (N,), features' particles (T, 3, K, N) = x, y [m], u; labels (K,),
+    weights (K, T); the line of sight's existence and amplitude particles (N,)."""
 
     agent: np.ndarray
     log_weight: np.ndarray
@@ -52,13 +52,11 @@ class Stacked:
     radio: Radio
     backend: Backend
 
-    def init(
-        self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None
-    ) -> StackedState:
+    def init(self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None) -> StackedState:
         """State before the first step.
 
-        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %. Without it the amplitude is uniform,
-        and since every agent particle carries one, most of them are lost to it in the first step.
+        ``sight_amplitude`` is a first guess of the line of sight's amplitude, ±10 %. Without it the amplitude
+        is uniform, and since every agent particle carries one, most of them are lost to it in the first step.
         """
         types, size = len(self.parameters.types), len(agent)
         share = ((np.arange(size) * _stride(size)) % size + 0.5) / size  # independent of the particles' order
@@ -87,10 +85,7 @@ class Stacked:
         groups = [(Form.LOS, _sight_rows(parameters, sight_u)), *zip(types, particles, strict=True)]
 
         log_false_alarm = parameters.log_false_alarm(scan)
-        means = [
-            self.backend.evidence(form, *rows, stacked, scan, constants)
-            for form, rows in groups
-        ]
+        means = [self.backend.evidence(form, *rows, stacked, scan, constants) for form, rows in groups]
         log_c = self._birth_evidence(rng, agent, scan)
         association = _associate(weight, sight, means, groups, constants, log_false_alarm, log_c)
 
@@ -117,7 +112,9 @@ class Stacked:
         agent = agent[ancestors]
         state = self._with_births(
             rng, agent, scan, association, log_c - log_false_alarm[:, None],
-            StackedState(agent, np.zeros(size), particles, state.label[keep], weight[keep], sight, sight_u, state.next_label),
+            StackedState(
+                agent, np.zeros(size), particles, state.label[keep], weight[keep], sight, sight_u, state.next_label
+            ),
         )  # fmt: skip
         estimate = estimate_of(parameters, agent, np.full(size, 1 / size), _moments(state))
         return state, Info(estimate, effective, 0, association.marginal, float(sight), len(state.label))
@@ -270,12 +267,8 @@ def _walk(particles, walked, pool, offsets, position, amplitude):
 
 def _associate(weight, sight, means, groups, constants, log_false_alarm, log_c):
     """Loopy data association on the Monte Carlo evidence."""
-    missed = [
-        _mean_missed(rows[2], constants.missed, np.float32(constants.missed_step)) for _, rows in groups
-    ]
-    detected = np.vstack(
-        [sight * means[0], sum(weight[:, t, None] * means[1 + t] for t in range(weight.shape[1]))]
-    )
+    missed = [_mean_missed(rows[2], constants.missed, np.float32(constants.missed_step)) for _, rows in groups]
+    detected = np.vstack([sight * means[0], sum(weight[:, t, None] * means[1 + t] for t in range(weight.shape[1]))])
     lost = np.concatenate(
         [
             sight * missed[0] + 1 - sight,
@@ -323,9 +316,7 @@ def _resample(rows, lam, keep, points, starts, stride, out):
                     place -= size
 
 
-def _sample_birth(
-    rng, form: Form, parameters: Parameters, agent: np.ndarray, scan: Scan, m: int
-) -> np.ndarray:
+def _sample_birth(rng, form: Form, parameters: Parameters, agent: np.ndarray, scan: Scan, m: int) -> np.ndarray:
     """(3, N) particles x, y, u of a new feature: proposed from two measured quantities, resampled by the third."""
     size = len(agent)
     sigma = np.sqrt(np.diag(scan.covariance[m]))

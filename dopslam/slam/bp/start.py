@@ -51,9 +51,9 @@ def informed_start(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Importance sample of the box prior where the first line of sight points.
 
-    The strongest measurement whose distance and AOD point into the box proposes position and heading (widened 1.5
-    times); the speed is uniform. The log weights are prior over proposal, so the measurement itself is not used up and
-    the first ``step`` applies it once. Without such a measurement the start is uniform.
+    The strongest measurement whose distance and AOD point into the box proposes position and heading (widened
+    1.5 times); the speed is uniform. The log weights are prior over proposal, so the measurement itself is
+    not used up and the first ``step`` applies it once. Without such a measurement the start is uniform.
     """
     widen = 1.5
     place = parameters.anchor + scan.distance[:, None] * scan.aod
@@ -82,11 +82,9 @@ def informed_start(
     velocity = speed[:, None] * geometry.unit_vector(heading)
     velocity[:, 2] = rng.uniform(-box.half_climb, box.half_climb, size)
     before = position - interval * velocity
-    # Densities: the prior is constant in (p, v); the proposal's Jacobians are flat (polar position) and speed.
-    # (Those of height and azimuth stretch vary by less than a percent over the proposal.)
-    log_weight = (
-        0.5 * np.sum((offset / deviation) ** 2, axis=1) + np.log(flat) + np.log(np.maximum(speed, 1e-9))
-    )
+    # Densities: the prior is constant in (p, v); the proposal's Jacobians are flat (polar position) and
+    # speed. (Those of height and azimuth stretch vary by less than a percent over the proposal.)
+    log_weight = 0.5 * np.sum((offset / deviation) ** 2, axis=1) + np.log(flat) + np.log(np.maximum(speed, 1e-9))
     return particles(before, velocity), np.where(box.contains(before, velocity), log_weight, -np.inf)
 
 
@@ -102,6 +100,4 @@ def gaussian_start(
     place[:, :2] += noise[:, :2]
     angle = heading + noise[:, 4]
     speed = np.hypot(velocity[0], velocity[1]) + noise[:, 2]
-    return particles(
-        place, speed[:, None] * geometry.unit_vector(angle), bias + noise[:, 3], angle
-    ), np.zeros(size)
+    return particles(place, speed[:, None] * geometry.unit_vector(angle), bias + noise[:, 3], angle), np.zeros(size)

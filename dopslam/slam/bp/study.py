@@ -38,9 +38,7 @@ def start_box(experiment: Experiment) -> Box:
 
 def motion_of(experiment: Experiment, speed_increment: float = 0.02) -> ConstantVelocity:
     """Near-constant velocity with the same increment in all the experiment's dimensions."""
-    return ConstantVelocity(
-        experiment.interval, speed_increment, speed_increment if experiment.spatial else 0.0
-    )
+    return ConstantVelocity(experiment.interval, speed_increment, speed_increment if experiment.spatial else 0.0)
 
 
 def one_run(

@@ -1,0 +1,78 @@
+"""Figures of belief-propagation SLAM after paper B: type beliefs (Fig. 2), errors and map (Fig. 4 a–c)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dopslam.report.figures import house_style
+from dopslam.slam.bp.bound import Bound
+from dopslam.slam.bp.experiment import Experiment, Truth
+from dopslam.slam.bp.records import Form
+from dopslam.slam.bp.run import History
+from dopslam.slam.bp.study import RunResult
+
+
+def type_beliefs(experiment: Experiment, results: dict[str, Sequence[RunResult]]) -> Figure:
+    """Mean belief in the true type of every feature over the steps; one line style per case."""
+    with house_style():
+        figure = Figure(figsize=(6.4, 3.2))
+        axes = figure.subplots()
+        names = _names(experiment)
+        for style, (case, runs) in zip(("-", "--", ":", "-."), results.items(), strict=False):
+            mean = np.mean([r.score.type_history for r in runs], axis=0)
+            for place, name in enumerate(names):
+                axes.plot(1 + np.arange(len(mean)), mean[:, place], style, color=f"C{place}", label=f"{name}, {case}")
+        axes.set(xlabel="step", ylabel="belief in the true type", ylim=(-0.02, 1.02))
+        axes.legend(fontsize="small")
+    return figure
+
+
+def errors_over_time(results: dict[str, Sequence[RunResult]], limits: Bound) -> Figure:
+    """Position and orientation RMSE over the runs at every step, with the bound."""
+    with house_style():
+        figure = Figure(figsize=(6.4, 4.6))
+        above, below = figure.subplots(2, 1, sharex=True)
+        steps = 1 + np.arange(len(limits.position))
+        for case, runs in results.items():
+            position = np.sqrt(np.mean([r.score.position_error**2 for r in runs], axis=0))
+            heading = np.sqrt(np.mean([r.score.heading_error**2 for r in runs], axis=0))
+            above.plot(steps, 1e3 * position, label=case)
+            below.plot(steps, np.degrees(heading), label=case)
+        above.plot(steps, 1e3 * limits.position, "k--", label="PCRB")
+        below.plot(steps, np.degrees(limits.heading), "k--", label="PCRB")
+        above.set(ylabel="position RMSE [mm]", yscale="log")
+        below.set(xlabel="step", ylabel="orientation RMSE [°]", yscale="log")
+        above.legend(fontsize="small")
+    return figure
+
+
+def belief_map(experiment: Experiment, truth: Truth, history: History, types: tuple[Form, ...]) -> Figure:
+    """Estimated track and features of one run; the color is the belief in the virtual-anchor type."""
+    with house_style():
+        figure = Figure(figsize=(5.4, 4.6))
+        axes = figure.subplots()
+        estimate = history.infos[-1].estimate
+        virtual = np.array([form != Form.PS for form in types])
+        axes.plot(*truth.position[:, :2].T, "k-", lw=2, label="track")
+        axes.plot(*history.positions[:, :2].T, "C1-", lw=1, label="estimated track")
+        axes.plot(*experiment.anchor[:2], "k^", label="anchor")
+        axes.plot(*experiment.features[:, :2].T, "ko", ms=11, mfc="none", label="true features")
+        belief = estimate.type_belief[:, virtual].sum(axis=1)
+        dots = axes.scatter(*estimate.feature[:, :2].T, c=belief, cmap="coolwarm", vmin=0, vmax=1, zorder=3)
+        figure.colorbar(dots, label="belief: virtual anchor (1), point scatterer (0)")
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axes.legend(fontsize="small")
+    return figure
+
+
+def _names(experiment: Experiment) -> list[str]:
+    """VA 1, VA 2, PS 1, … in the order of the features."""
+    names, counts = [], {"VA": 0, "PS": 0}
+    for form in experiment.forms:
+        kind = "PS" if form == Form.PS else "VA"
+        counts[kind] += 1
+        names.append(f"{kind} {counts[kind]}")
+    return names
