@@ -31,8 +31,9 @@ from .lobes import RADIUS, LobeMap
 from .polish import CellProjector, ResidualProjector
 
 C64 = np.complex64
-RIVAL = 0.5
-"""Another lobe is worth a look if its best grid cell holds this share of the found peak's energy."""
+RIVAL = 0.35
+"""Another lobe is worth a look if its best grid cell holds this share of the found peak's energy
+(its delay and speed are those of the wrong lobe, and the cell is off the peak)."""
 CHUNK = 512
 """Rows worked on at a time, so that intermediate results stay in the second-level cache."""
 
@@ -245,8 +246,13 @@ class StagedSearch:
             nearest = np.argmax(getattr(found, end) @ grid.T, axis=1)
             table = self.lobes.departures if end == "departure" else self.lobes.arrivals
             rival = np.where(table[nearest] > RADIUS**2, power, 0.0)
-            for p in np.flatnonzero(rival.max(axis=1) > RIVAL * energy):
-                points = points.joined(replace(found.take([p]), **{end: grid[[np.argmax(rival[p])]]}))
+            for p, row in enumerate(rival):
+                for _ in range(3):
+                    best = int(np.argmax(row))
+                    if row[best] <= RIVAL * energy[p]:
+                        break
+                    points = points.joined(replace(found.take([p]), **{end: grid[[best]]}))
+                    row[table[best] <= RADIUS**2] = 0.0
         return points
 
     def received(self, response):
