@@ -24,6 +24,8 @@ def draw(study: str, result, path: Path) -> None:
         "false_alarms": _false_alarms,
         "ambiguity": _ambiguity,
         "speed": _speed,
+        "search_loss": _loss,
+        "swept": _weak,
     }[study]
     figure = painter(plt, result)
     figure.tight_layout()
@@ -126,5 +128,16 @@ def _speed(plt, result):
     for color, key in zip(COLORS, ("ms_cold", "ms_warm"), strict=False):
         axis.loglog(samples, [r[key] for r in result], marker="o", color=color, label=key.replace("ms_", ""))
     axis.set(xlabel="samples", ylabel="ms per snapshot")
+    axis.legend()
+    return figure
+
+
+def _loss(plt, result):
+    figure, axis = plt.subplots(figsize=(4.5, 3.5))
+    axis.plot(result["rho_db"], result["search"], marker="o", color=COLORS[0], label="staged search")
+    axis.plot(
+        result["rho_db"], result["from_truth"], marker="s", ls="--", color=COLORS[1], label="started at the truth"
+    )
+    axis.set(xlabel="rho [dB]", ylabel="probability of detection", title=f"loss {result['loss_db']:.2f} dB")
     axis.legend()
     return figure

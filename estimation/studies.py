@@ -218,6 +218,19 @@ def hybrid(snapshots: int, seed: int = 21) -> dict:
     return weak_paths(snapshots, hybrid_link(), (18.0, 40.0), 5, seed)
 
 
+def swept(snapshots: int, seed: int = 22) -> dict:
+    """The radio of ring_road on random directions all round: six paths with rho between 13 and 48 dB."""
+    model = swept_link()
+
+    def case(rng: np.random.Generator):
+        angles = [np.c_[rng.uniform(-np.pi, np.pi, 6), rng.uniform(-0.8, 0.8, 6)] for _ in range(2)]
+        delay, speed = rng.uniform(0, 2e-6, 6), rng.uniform(-22, 22, 6)
+        unit = PathTable(delay, *angles, speed, np.exp(2j * np.pi * rng.random(6)))
+        return at_snr(model, unit, 10 ** rng.uniform(1.3, 4.8, 6)), 1.0
+
+    return report_runs(run_series(Nomp(model), model, [case] * snapshots, seed))
+
+
 def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
     """Noise alone on the reference link: nominal against measured false paths per snapshot."""
     model = reference_link()

@@ -19,7 +19,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguity", "speed")
+STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguity", "speed", "search_loss", "swept")
 
 
 def main() -> None:
@@ -82,6 +82,10 @@ def run_study(name: str, options):
         return studies.false_alarms((0.3, 0.1, 0.03, 0.01), 4 * count)
     if name == "ambiguity":
         return studies.schedules()
+    if name == "search_loss":
+        return studies.search_loss(trials=2 * count)
+    if name == "swept":
+        return studies.swept(count)
     return studies.speed()
 
 
