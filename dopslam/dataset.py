@@ -176,6 +176,8 @@ def write_records(
         if seed is not None:
             file.attrs["seed"] = seed
         file.attrs.update(attributes or {})
+        if "scenario" in file.attrs:
+            file.attrs["root_sha256"] = _root_digest(file)
         for group, record in records.items():
             _write_group(file, group, record)
 
@@ -245,7 +247,13 @@ def read_root(path: str | Path) -> tuple[str, int]:
     with _reading(Path(path)) as file:
         if "scenario" not in file.attrs:
             raise DatasetError(f"{path}: holds no scenario; name one with --scenario")
+        if "root_sha256" in file.attrs and file.attrs["root_sha256"] != _root_digest(file):
+            raise DatasetError(f"{path}: scenario or seed do not match their checksum; the file is damaged")
         return str(file.attrs["scenario"]), int(file.attrs.get("seed", 0))
+
+
+def _root_digest(file: h5py.File) -> str:
+    return hashlib.sha256(f"{file.attrs['scenario']}\0{file.attrs.get('seed', 0)}".encode()).hexdigest()
 
 
 def groups(path: str | Path) -> list[str]:

@@ -62,7 +62,7 @@ class Track:
     start: np.ndarray
 
     def __post_init__(self):
-        _check_columns(self, ("position", "heading", "velocity", "bias"), len(self.time))
+        _check_columns(self, ("time", "position", "heading", "velocity", "bias"), len(self.time))
 
     @property
     def steps(self) -> int:
@@ -197,7 +197,7 @@ class DetectionSeries:
 
     def __post_init__(self):
         _check_columns(
-            self, ("aoa", "aod", "radial_velocity", "gain", "covariance", "snr"), len(self.delay)
+            self, ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr"), len(self.delay)
         )
         _check_offsets("DetectionSeries", self.offsets, len(self.delay))
 

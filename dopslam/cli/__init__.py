@@ -22,6 +22,8 @@ VERBS = {
     "montecarlo": "Many runs of a filter in parallel, beside their bounds.",
     "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
     "check": "Validate a dataset folder or file and say what is wrong where.",
+    "import": "Turn foreign detections (CSV, MATLAB) into a dataset file that slam runs on.",
+    "export": "Write a dataset for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV.",
     "scenes": "List the scenes that ship.",
     "info": "Say what a dataset file holds.",
     "doctor": "Say what the ray tracer found here: LLVM, GPU, threads, versions.",
@@ -34,7 +36,8 @@ app = App(
     help_format="plaintext",
 )
 for _verb, _help in VERBS.items():
-    app.command(f"dopslam.cli.{_verb}:{_verb}", name=_verb, help=_help)
+    _name = "import_" if _verb == "import" else _verb  # a keyword is no module
+    app.command(f"dopslam.cli.{_name}:{_name}", name=_verb, help=_help)
 
 
 def main(tokens: list[str] | None = None) -> None:

@@ -1,0 +1,33 @@
+"""``dopslam export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+
+def export(
+    source: Path,
+    *,
+    to: Annotated[Literal["mat", "deepmimo", "tum", "sigmf", "csv"], Parameter(name="--to")],
+    out: Path,
+) -> None:
+    """Write a dataset for other programs into a new folder.
+
+    Parameters
+    ----------
+    source
+        Dataset file, or folder made by 'dopslam dataset'.
+    to
+        mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv: paths.
+    out
+        Folder to make.
+    """
+    from rich.console import Console
+
+    from dopslam.export import export as write
+
+    files = write(source, out, to)
+    Console(highlight=False, soft_wrap=True).print(f"{out}: {len(files)} files, {files[0].name} …")

@@ -1,0 +1,64 @@
+"""``dopslam import``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from dopslam.cli.common import Settings, overrides
+
+
+def import_(
+    table: Path,
+    *,
+    mapping: Annotated[Path, Parameter(name="--map")],
+    scenario: str,
+    out: Path,
+    track: Path | None = None,
+    settings: Settings = None,
+) -> None:
+    """Turn foreign detections into a dataset file that 'dopslam slam' runs on.
+
+    Parameters
+    ----------
+    table
+        CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
+    mapping
+        TOML that says what the columns mean; see the documentation of dopslam.foreign.
+    scenario
+        Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
+    out
+        Dataset file to make.
+    track
+        CSV with the true track (time, x, y, …) if it is known; evaluation needs it.
+    settings
+        Override a scenario key, for instance --set track.speed=0.
+    """
+    from rich.console import Console
+
+    from dopslam import build, dataset, foreign, tracks
+    from dopslam.config import load
+    from dopslam.errors import DatasetError
+
+    if out.exists():
+        raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
+    rule = foreign.read_mapping(mapping)
+    kind = "traced" if foreign.knows_snr(rule) else "model"
+    world = load(scenario, [f"source.kind={kind}", *overrides(settings)])
+    truth = None
+    if track is not None:
+        own = load(scenario, [*overrides(settings), 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"])
+        source = tracks.sampled(own, 0)
+        truth, _ = source.part(0, int(source.lengths.sum()))
+    found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth)
+    world = load(scenario, [f"source.kind={kind}", *overrides(settings), f"track.steps={max(found.steps, 1)}"])
+    records = {"detections": found}
+    if truth is not None:
+        records |= {"track": truth, "landmarks": build.model_landmarks(world)}
+    dataset.write_records(out, records, world.to_toml(), 0)
+    hint = "" if {"doppler", "radial_velocity"} & set(rule.columns) else " --doppler-std none"
+    Console(highlight=False, soft_wrap=True).print(
+        f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
+    )

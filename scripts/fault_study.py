@@ -1,0 +1,166 @@
+"""How datasets stand up to faults: damaged files through the reader, and generation killed at random moments.
+
+    python scripts/fault_study.py mutate [--files 500] [--seed 0]
+    python scripts/fault_study.py kill [--times 20] [--seed 0] [--scene ring_road] [--positions 4000]
+
+``mutate`` damages a dataset file (flipped bits, overwritten, zeroed, removed, inserted and swapped ranges, truncation) and reads
+each copy in a process of its own: allowed are the one documented error or exactly the old content. ``kill`` sends SIGKILL to
+``dopslam dataset`` at random moments, resumes, and compares the manifest with that of an undisturbed run. One line of JSON each;
+exit code 1 if anything else happened.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from dopslam import dataset
+from dopslam.errors import DatasetError
+from dopslam.records import DetectionSeries, Landmarks, Paths, Track
+
+TYPES = {kind.__name__: kind for kind in (Track, Landmarks, Paths, DetectionSeries)}
+TIMEOUT = 60  # s, for reading one small file
+
+
+def make_file(path: Path) -> None:
+    """A small dataset file with every kind of record, drawn from the measurement model, and a signal."""
+    from dopslam import stages
+    from dopslam.config import load
+
+    stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=10"]), 0)
+    rng, count = np.random.default_rng(0), 60
+    names = ("tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler")
+    columns = {name: rng.normal(size=count) for name in names}
+    offsets = np.arange(0, count + 1, count // 10)
+    paths = Paths(
+        offsets, np.arange(count) % 9, rng.normal(size=count) + 0j, vertex_offsets=np.arange(count + 1),
+        vertices=rng.normal(size=(count, 3)), **columns,
+    )  # fmt: skip
+    dataset.write_record(path, "paths", paths)
+    dataset.write_signal(path, rng.normal(size=(10, 8, 4, 2)).astype(np.complex64), 10)
+
+
+def content(path: Path) -> dict:
+    """Everything a reader gets from the file, as hashes."""
+    found = {"root": dataset.read_root(path)}
+    for group, name in (("track", "Track"), ("landmarks", "Landmarks"), ("paths", "Paths"), ("detections", "DetectionSeries")):
+        found[group] = dataset.content_hash(dataset.read_record(path, group, TYPES[name]))
+    found["signal"] = [dataset.read_snapshot(path, step).tobytes() for step in range(dataset.signal_steps(path))]
+    return found
+
+
+def mutated(whole: bytes, rng: np.random.Generator) -> bytes:
+    """A damaged copy."""
+    data, size = bytearray(whole), len(whole)
+    at = int(rng.integers(size))
+    span = int(min(size - at, 2 ** rng.integers(0, 13)))
+    match rng.integers(7):
+        case 0:
+            data[at] ^= 1 << int(rng.integers(8))
+        case 1:
+            data[at : at + span] = rng.bytes(span)
+        case 2:
+            data[at : at + span] = bytes(span)
+        case 3:
+            del data[at : at + span]
+        case 4:
+            data[at:at] = rng.bytes(span)
+        case 5:
+            other = int(rng.integers(size - span + 1))
+            data[at : at + span], data[other : other + span] = data[other : other + span], data[at : at + span]
+        case _:
+            del data[at:]
+    return bytes(data)
+
+
+def _read(path: Path, expected: dict, answers) -> None:
+    try:
+        answers.put("same" if content(path) == expected else "CHANGED SILENTLY")
+    except DatasetError:
+        answers.put("error")
+    except BaseException as error:
+        answers.put(f"{type(error).__name__}: {error}")
+
+
+def mutate(files: int, seed: int) -> dict:
+    """Counts of what happened to the files."""
+    rng, counts, wrong = np.random.default_rng(seed), {"error": 0, "same": 0}, []
+    context = get_context("forkserver")  # a clean parent: a fork of this process may inherit a held lock
+    context.set_forkserver_preload(["dopslam.dataset"])
+    with tempfile.TemporaryDirectory() as folder:
+        original, copy = Path(folder) / "d.h5", Path(folder) / "m.h5"
+        make_file(original)
+        whole, expected = original.read_bytes(), content(original)
+        for number in range(files):
+            copy.write_bytes(mutated(whole, rng))
+            answers = context.SimpleQueue()
+            reader = context.Process(target=_read, args=(copy, expected, answers))
+            reader.start()
+            reader.join(TIMEOUT)
+            if reader.is_alive():
+                reader.kill()
+                reader.join()
+                result = "HUNG"
+            else:
+                result = answers.get() if reader.exitcode == 0 and not answers.empty() else f"CRASHED {reader.exitcode}"
+            if result in counts:
+                counts[result] += 1
+            else:
+                wrong.append(f"file {number}: {result}")
+    return {"files": files, "seed": seed, **counts, "wrong": wrong}
+
+
+def kill(times: int, seed: int, scene: str, positions: int) -> dict:
+    """Kill, resume, compare."""
+    rng, killed = np.random.default_rng(seed), 0
+    program = [sys.executable, "-c", "from dopslam.cli import main; main()", "dataset", scene, "--positions", str(positions)]
+    program += ["--set", "trace.samples=20000", "--set", "dataset.shard_positions=200", "--resume", "--out"]
+    with tempfile.TemporaryDirectory() as place:
+        calm, stormy = Path(place) / "calm", Path(place) / "stormy"
+        started = time.perf_counter()
+        subprocess.run([*program, str(calm)], check=True, capture_output=True)
+        whole = time.perf_counter() - started
+        survivors = []
+        for _ in range(times):
+            process = subprocess.Popen([*program, str(stormy)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            time.sleep(rng.uniform(0, whole))
+            if process.poll() is None:
+                process.send_signal(signal.SIGKILL)
+            killed += process.wait() == -signal.SIGKILL
+            survivors.append(len(list(stormy.glob("shard-*.h5"))))
+            if (stormy / "manifest.json").exists() and json.loads((stormy / "manifest.json").read_text())["complete"]:
+                same = (stormy / "manifest.json").read_bytes() == (calm / "manifest.json").read_bytes()
+                if not same:
+                    return {"killed": killed, "wrong": ["another manifest"]}
+                shutil.rmtree(stormy)
+        subprocess.run([*program, str(stormy)], check=True, capture_output=True)
+        same = (stormy / "manifest.json").read_bytes() == (calm / "manifest.json").read_bytes()
+        litter = sorted(set(os.listdir(stormy)) - set(os.listdir(calm)))
+    wrong = ([] if same else ["another manifest"]) + [f"left behind: {name}" for name in litter if "manifest" not in name]
+    return {"killed": killed, "of": times, "shards_after_each": survivors, "wrong": wrong}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", choices=["mutate", "kill"])
+    parser.add_argument("--files", type=int, default=500)
+    parser.add_argument("--times", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scene", default="ring_road")
+    parser.add_argument("--positions", type=int, default=4000)
+    options = parser.parse_args()
+    if options.study == "mutate":
+        result = mutate(options.files, options.seed)
+    else:
+        result = kill(options.times, options.seed, options.scene, options.positions)
+    print(json.dumps(result))
+    sys.exit(bool(result["wrong"]))
