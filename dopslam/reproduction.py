@@ -26,7 +26,7 @@ from dopslam.slam.smoother import SmootherParameters
 WITH, WITHOUT = "#0072B2", "#D55E00"
 FLOOR = "#6b7280"
 DOPPLER_STDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-INTENSITIES = (1e-6, 1.5e-5, 1e-4, 2e-4, 2.9e-4, 5e-4, 1e-3)
+INTENSITIES = (1e-6, 1.5e-5, 1e-4, 2e-4, 2.5e-4, 2.9e-4, 5e-4, 1e-3)
 CASES = {"Doppler": True, "no Doppler": False}
 PAPER_WEIGHTS = {"Doppler": 0.8622, "no Doppler": 0.6763}
 
