@@ -66,7 +66,7 @@ FLOORS = [
     {"tracks", "datasets", "cluster", "foreign"},
     {"export"},
     {"stages", "studies", "montecarlo", "benchmark", "reproduction"},
-    {"traced_study"},
+    {"traced_study", "sweep"},
     {"cli"},
 ]
 

@@ -24,6 +24,7 @@ VERBS = {
     "check": "Validate a dataset folder or file and say what is wrong where.",
     "import": "Turn foreign detections (CSV, MATLAB) into a dataset file that slam runs on.",
     "export": "Write a dataset for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV.",
+    "sweep": "Repeat a Monte Carlo study over values of scenario keys: one table, one figure.",
     "scenes": "List the scenes that ship.",
     "info": "Say what a dataset file holds.",
     "doctor": "Say what the ray tracer found here: LLVM, GPU, threads, versions.",

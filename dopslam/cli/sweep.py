@@ -1,0 +1,54 @@
+"""``dopslam sweep``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dopslam.cli.common import worker_count
+
+
+def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None = None) -> None:
+    """Repeat a Monte Carlo study for every combination of values of scenario keys: one table, one figure with error bars.
+
+    Parameters
+    ----------
+    file
+        TOML with scenario, runs, seed and the table [vary]; see the documentation of dopslam.sweep.
+    out
+        Folder to make: table.csv, sweep.json, sweep.png.
+    jobs
+        Worker processes; by default one for each core. Results do not depend on it.
+    cluster
+        Address of a Dask scheduler (tcp://host:8786) whose workers run the study instead; needs the extra [cluster].
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from dopslam import sweep as library
+    from dopslam.cli.bars import timed_bars
+    from dopslam.cluster import workers
+    from dopslam.errors import DatasetError
+    from dopslam.report.folder import write_json
+    from dopslam.studies import write_text
+
+    plan = library.read_sweep(file)
+    if out.exists():
+        raise DatasetError(f"{out}: exists already; remove it or name another folder with --out")
+    try:
+        out.mkdir(parents=True)
+    except OSError as error:
+        raise DatasetError(f"{out}: cannot be made ({error.strerror}); give another folder") from error
+    with workers(cluster) as threads, timed_bars() as progress:
+        rows = library.run_sweep(plan, out, threads or worker_count(jobs), progress)
+    header, body = library.table(rows)
+    write_text(out / "table.csv", "".join(",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body]))
+    results = [{"point": row.point, "figures": row.figures, "diverged": row.diverged} for row in rows]
+    write_json(out / "sweep.json", {"runs": plan.runs, "seed": plan.seed, "filter": plan.filter, "results": results})
+    library.figure(rows).savefig(out / "sweep.png", dpi=150)
+    shown = Table(*rows[0].point, *rows[0].figures, "diverged", box=None)
+    for row in rows:
+        cells = [f"{value:.3g} [{low:.3g}, {high:.3g}]" for value, low, high in row.figures.values()]
+        shown.add_row(*map(str, row.point.values()), *cells, str(row.diverged))
+    console = Console()
+    console.print(shown)
+    console.print(f"written: {out}")

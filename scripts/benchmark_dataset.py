@@ -1,0 +1,101 @@
+"""Time, memory and reading speed of large datasets of the ring road.
+
+    python scripts/benchmark_dataset.py [POSITIONS …]
+
+One line of JSON per number of positions (default 1000 and 10000), each from a process of its own with warm kernels (the first,
+small run is thrown away). ``cpu_s`` counts all threads; ``overhead_cpu`` is what the dataset adds to the tracer's own calls for the
+same positions in the same run. The last line gives the speed of reading a large file with its checksums verified.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+SETTINGS = ["trace.samples=20000"]
+
+
+def measure(positions: int) -> dict:
+    """One dataset, made and thrown away."""
+    from dopslam.config import load
+    from dopslam.datasets import generate, make_plan, maker, shard
+
+    bare = {"cpu": 0.0, "wall": 0.0}
+
+    class Watched(shard.ShardTracer):
+        """Counts what is spent in the two solvers of the tracer."""
+
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            self.tracer._solver, self.tracer._radar = map(self._watch, (self.tracer._solver, self.tracer._radar))
+
+        @staticmethod
+        def _watch(solver):
+            def call(*arguments, **named):
+                cpu, wall = time.process_time(), time.perf_counter()
+                result = solver(*arguments, **named)
+                result.a[0].numpy()
+                bare["cpu"] += time.process_time() - cpu
+                bare["wall"] += time.perf_counter() - wall
+                return result
+
+            return call
+
+    maker.ShardTracer = Watched
+    scenario = load("ring_road", SETTINGS)
+    with tempfile.TemporaryDirectory() as place:
+        generate(Path(place) / "warm", make_plan(scenario, 400, 1), scenario)
+        bare.update(cpu=0.0, wall=0.0)
+        cpu, wall = time.process_time(), time.perf_counter()
+        manifest = generate(Path(place) / "d", make_plan(scenario, positions, 0), scenario)
+        cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+        size = sum(p.stat().st_size for p in (Path(place) / "d").iterdir())
+    return {
+        "positions": positions, "paths": sum(e.paths for e in manifest.shards), "wall_s": round(wall, 2), "cpu_s": round(cpu, 2),
+        "bare_cpu_s": round(bare["cpu"], 2), "bare_wall_s": round(bare["wall"], 2),
+        "overhead_cpu": round(cpu / bare["cpu"] - 1, 3), "overhead_wall": round(wall / bare["wall"] - 1, 3),
+        "peak_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6, 3), "megabytes": round(size / 1e6, 1),
+    }  # fmt: skip
+
+
+def reading(rows: int = 1_000_000) -> dict:
+    """Speed of reading paths back, fletcher32 and sha256 verified, in processor time; and of the raw HDF5 arrays."""
+    import h5py
+
+    from dopslam import dataset
+    from dopslam.records import Paths
+
+    rng = np.random.default_rng(0)
+    columns = {n: rng.normal(size=rows) for n in ("tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler")}
+    record = Paths(
+        np.array([0, rows]), np.zeros(rows, int), rng.normal(size=rows) + 0j, vertex_offsets=np.arange(rows + 1),
+        vertices=rng.normal(size=(rows, 3)), **columns,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "d.h5"
+        dataset.write_record(path, "paths", record)
+        size, verified, raw = path.stat().st_size, [], []
+        for _ in range(5):
+            start = time.process_time()
+            dataset.read_record(path, "paths", Paths)
+            verified.append(time.process_time() - start)
+            start = time.process_time()
+            with h5py.File(path) as file:
+                for data in file["paths"].values():
+                    data[()]
+            raw.append(time.process_time() - start)
+    return {"file_mb": round(size / 1e6), "verified_mb_per_cpu_s": round(size / 1e6 / min(verified)), "raw_mb_per_cpu_s": round(size / 1e6 / min(raw))}
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--one"]:
+        print(json.dumps(measure(int(sys.argv[2]))))
+        sys.exit()
+    for count in sys.argv[1:] or ("1000", "10000"):
+        subprocess.run([sys.executable, __file__, "--one", count], check=True)
+    print(json.dumps(reading()))
