@@ -48,7 +48,9 @@ class Nomp:
     calibration : noise-only searches that measure the effective search volume when the estimator is made; 0
         trusts Rice's formula
     threshold : fixed threshold on rho instead of a false-alarm rate
-    dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it
+    dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it (the reported noise
+        variance is then relative to that profile, that is 1)
+    search_options : further arguments of the coarse search's ``build`` (oversampling, retained, ...)
     """
 
     model: SignalModel

@@ -12,7 +12,7 @@ elevation. ``orientation`` rotates the array's body (positions and pattern) into
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ..errors import ModelError
 from .directions import Float
 
-Complex = np.typing.NDArray[np.complex128]
+Complex = np.typing.NDArray[Any]  # complex128; what numpy infers is wider
 
 
 @runtime_checkable

@@ -7,10 +7,12 @@ expressed along the orthonormal tangents ``e_az`` and ``e_el``, so that ``d u = 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Float = NDArray[np.float64]
+Float = NDArray[Any]  # float64; what numpy infers is wider
 
 
 def unit_vectors(angles: ArrayLike) -> Float:

@@ -8,13 +8,14 @@ absent, and that end is then fully digital.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..errors import ModelError
 from .directions import Float
 
-Complex = np.typing.NDArray[np.complex128]
+Complex = np.typing.NDArray[Any]  # complex128; what numpy infers is wider
 Index = np.typing.NDArray[np.intp]
 ORDERS = ("linear", "permuted", "same_permutation", "dwell")
 
