@@ -1,0 +1,86 @@
+"""Dask workers as separate processes on the loopback interface: the same numbers as without them."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from dopslam import cluster
+from dopslam.config import load
+from dopslam.errors import DopslamError
+from dopslam.montecarlo import run_study
+from dopslam.studies import study
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    address = f"tcp://127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    started = [subprocess.Popen([*command, "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], **quiet)]
+    try:
+        for _ in range(2):
+            worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+            started.append(subprocess.Popen(worker, **quiet))
+        from distributed import Client
+
+        deadline = time.monotonic() + 90
+        with Client(address, timeout=60) as client:
+            while len(client.nthreads()) < 2 and time.monotonic() < deadline:
+                time.sleep(0.2)
+            assert len(client.nthreads()) == 2
+        yield address
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # those of dask and tornado are not ours
+
+
+def test_a_study_gives_the_same_numbers_on_two_dask_workers(scheduler):
+    plan = study(load("ring_road", ["track.steps=5"]))
+    alone = run_study(plan, 4, seed=3)
+    with cluster.workers(scheduler) as threads:
+        assert threads == 2
+        spread = run_study(plan, 4, seed=3, jobs=threads)
+    for mine, its in zip(alone, spread, strict=True):
+        assert mine.nees.tolist() == its.nees.tolist()
+        assert mine.gospa_va.tolist() == its.gospa_va.tolist()
+
+
+SMALL = [
+    "radio.subcarriers=32", "radio.beams.beams=4", "radio.beams.sweeps=2", "receiver.array.columns=4",
+    "base_station.array.columns=4", "estimator.max_paths=3",
+]  # fmt: skip
+
+
+def test_detections_are_the_same_on_two_dask_workers(scheduler, worker, tmp_path):
+    alone = worker.make(tmp_path / "a", 6, settings=SMALL, detections=True)
+    with cluster.workers(scheduler) as threads:
+        spread = worker.make(tmp_path / "b", 6, settings=SMALL, detections=True, jobs=threads)
+    assert spread == alone
+
+
+def test_an_address_without_a_scheduler_is_one_error(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
+    monkeypatch.setattr(cluster, "TIMEOUT", 1)
+    with pytest.raises(DopslamError, match="no Dask scheduler answers"), cluster.workers(f"tcp://127.0.0.1:{free_port()}"):
+        pass
+
+
+def test_without_an_address_nothing_changes():
+    with cluster.workers(None) as threads:
+        assert threads is None
