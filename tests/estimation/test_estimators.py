@@ -26,7 +26,7 @@ from estimation import (
     ura,
 )
 from estimation.evaluate import associate
-from estimation.studies import FRONT, Draw, at_snr, draw_paths, hybrid_link
+from estimation.scenarios import FRONT, Draw, at_snr, draw_paths, hybrid_link
 
 VIEWS = {"arrival_view": FRONT, "departure_view": FRONT}
 

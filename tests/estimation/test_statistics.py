@@ -7,7 +7,8 @@ import pytest
 
 from estimation import Nomp, SignalModel, comb, detection_probability, digital, ura
 from estimation.evaluate import summarize
-from estimation.studies import FRONT, Draw, at_snr, draw_paths, run_series, swept_link
+from estimation.scenarios import FRONT, Draw, at_snr, draw_paths, swept_link
+from estimation.studies import run_series
 
 pytestmark = pytest.mark.mc
 
