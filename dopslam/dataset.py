@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
-from dopslam.schema import UNITS, annotate, is_scale
+from dopslam.schema import UNITS, annotate, is_scale, plain, set_text
 
 SCHEMA = "dopslam"
 SCHEMA_VERSION = 1
@@ -64,7 +64,7 @@ def _replacing(path: Path, extra: int = 0) -> Iterator[h5py.File]:
         driver: dict[str, Any] = {"driver": "core", "backing_store": False, "block_size": 1 << 20} if memory else {}
         with h5py.File(part, mode, libver=_LIBVER, **driver) as file:
             if mode == "w":
-                file.attrs["schema"] = SCHEMA
+                set_text(file, "schema", SCHEMA)
                 file.attrs["schema_version"] = SCHEMA_VERSION
             yield file
             file.flush()
@@ -109,7 +109,7 @@ def _reading(path: Path) -> Iterator[h5py.File]:
 
 
 def _check_schema(path: Path, file: h5py.File) -> None:
-    schema, version = file.attrs.get("schema"), file.attrs.get("schema_version")
+    schema, version = (plain(file.attrs.get(name)) for name in ("schema", "schema_version"))
     if schema != SCHEMA:
         raise DatasetError(f"{path}: schema is {schema!r}, expected {SCHEMA!r}; not a dopslam dataset")
     if version != SCHEMA_VERSION:
@@ -123,7 +123,8 @@ def _digest(columns: dict[str, np.ndarray], scalars: dict[str, Any]) -> str:
     for name in sorted(columns):
         array = np.ascontiguousarray(columns[name])
         digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
-        digest.update(array.tobytes() if array.dtype.kind != "O" else "\0".join(map(str, array)).encode())
+        text = array.dtype.kind == "O"
+        digest.update(array.reshape(-1).view(np.uint8) if not text else "\0".join(map(str, array)).encode())
     for name in sorted(scalars):
         digest.update(f"{name}={scalars[name]!r};".encode())
     return digest.hexdigest()
@@ -172,12 +173,13 @@ def write_records(
     extra = sum(column.nbytes for record in records.values() for column in _split(record)[0].values())
     with _replacing(Path(path), extra) as file:
         if scenario_toml is not None:
-            file.attrs["scenario"] = scenario_toml
+            set_text(file, "scenario", scenario_toml)
         if seed is not None:
             file.attrs["seed"] = seed
-        file.attrs.update(attributes or {})
+        for name, value in (attributes or {}).items():
+            _set_attribute(file, name, value)
         if "scenario" in file.attrs:
-            file.attrs["root_sha256"] = _root_digest(file)
+            set_text(file, "root_sha256", _root_digest(file))
         for group, record in records.items():
             _write_group(file, group, record)
 
@@ -187,16 +189,31 @@ def _write_group(file: h5py.File, group: str, record) -> None:
         del file[group]
     node = file.create_group(group)
     columns, scalars = _split(record)
-    node.attrs["record"] = type(record).__name__
-    node.attrs["sha256"] = _digest(columns, scalars)
+    set_text(node, "record", type(record).__name__)
+    set_text(node, "sha256", _digest(columns, scalars))
     for name, value in scalars.items():
-        node.attrs[name] = value
+        _set_attribute(node, name, value)
     for name, array in columns.items():
-        dtype = h5py.string_dtype() if array.dtype.kind == "O" else array.dtype
-        chunked = {"fletcher32": True} if array.size and array.dtype.kind != "O" else {}
-        dataset = node.create_dataset(name, data=array, dtype=dtype, **chunked)
-        dataset.attrs["units"] = UNITS.get(name, "1")
+        if array.dtype.kind == "O":  # of fixed length, as the attributes
+            encoded = [str(text).encode() for text in array]
+            array = np.array(encoded, dtype=h5py.string_dtype("utf-8", max([1, *map(len, encoded)])))
+        dataset = node.create_dataset(name, data=array, **({"fletcher32": True} if array.size else {}))
+        set_text(dataset, "units", UNITS.get(name, "1"))
     annotate(node, type(record).__name__)
+
+
+def _set_attribute(node, name: str, value: Any) -> None:
+    if isinstance(value, str):
+        set_text(node, name, value)
+    else:
+        node.attrs[name] = value
+
+
+def _texts(array: np.ndarray) -> np.ndarray:
+    """Texts as an object array of str; other arrays as they are."""
+    if array.dtype.kind not in "OS":
+        return array
+    return np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
 
 
 def read_record(path: str | Path, group: str, record_type: type[Record]) -> Record:
@@ -220,21 +237,18 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
     columns, scalars = {}, {}
     for field in dataclasses.fields(record_type):  # type: ignore[arg-type]
         if field.name in node:
-            array = node[field.name][()]
-            if array.dtype.kind == "O":
-                array = np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
+            array = _texts(node[field.name][()])
             columns[field.name] = array
             values[field.name] = array.astype(str) if array.dtype.kind == "O" else array
         elif field.name in node.attrs:
-            value = node.attrs[field.name]
-            scalars[field.name] = values[field.name] = value.item() if isinstance(value, np.generic) else value
+            scalars[field.name] = values[field.name] = plain(node.attrs[field.name])
         elif field.default is not dataclasses.MISSING:
             values[field.name] = field.default
         elif "None" in str(field.type):
             values[field.name] = None
         else:
             raise DatasetError(f"{path}: {group}/{field.name} is missing; the group is not a {record_type.__name__}")
-    if "sha256" in node.attrs and node.attrs["sha256"] != _digest(columns, scalars):
+    if "sha256" in node.attrs and plain(node.attrs["sha256"]) != _digest(columns, scalars):
         raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
     try:
         return record_type(**values)
@@ -247,13 +261,13 @@ def read_root(path: str | Path) -> tuple[str, int]:
     with _reading(Path(path)) as file:
         if "scenario" not in file.attrs:
             raise DatasetError(f"{path}: holds no scenario; name one with --scenario")
-        if "root_sha256" in file.attrs and file.attrs["root_sha256"] != _root_digest(file):
+        if "root_sha256" in file.attrs and plain(file.attrs["root_sha256"]) != _root_digest(file):
             raise DatasetError(f"{path}: scenario or seed do not match their checksum; the file is damaged")
-        return str(file.attrs["scenario"]), int(file.attrs.get("seed", 0))
+        return str(plain(file.attrs["scenario"])), int(file.attrs.get("seed", 0))
 
 
 def _root_digest(file: h5py.File) -> str:
-    return hashlib.sha256(f"{file.attrs['scenario']}\0{file.attrs.get('seed', 0)}".encode()).hexdigest()
+    return hashlib.sha256(f"{plain(file.attrs['scenario'])}\0{file.attrs.get('seed', 0)}".encode()).hexdigest()
 
 
 def groups(path: str | Path) -> list[str]:
@@ -277,10 +291,11 @@ def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) 
                 dataset = node.create_dataset(
                     "y", (steps, *y.shape), np.complex64, chunks=(1, *y.shape), fletcher32=True
                 )
-                dataset.attrs["units"] = UNITS["y"]
+                set_text(dataset, "units", UNITS["y"])
             dataset[step] = y
             digest.update(np.ascontiguousarray(y, np.complex64).tobytes())
-        node.attrs["record"], node.attrs["sha256"] = "Signal", digest.hexdigest()
+        set_text(node, "record", "Signal")
+        set_text(node, "sha256", digest.hexdigest())
         annotate(node, "Signal")
 
 
@@ -302,7 +317,7 @@ def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
     """Rows (group, array, shape, type, units) of everything a dataset holds."""
     with _reading(Path(path)) as file:
         return [
-            (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(data.attrs.get("units", "")))
+            (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(plain(data.attrs.get("units", ""))))
             for group in sorted(file)
             for name, data in file[group].items()
             if not is_scale(file[group], name)
@@ -312,19 +327,19 @@ def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
 def stored_hashes(path: str | Path) -> dict[str, str]:
     """Group → sha256 of its content as the file states it, without reading the content; empty where none is stated."""
     with _reading(Path(path)) as file:
-        return {group: str(file[group].attrs.get("sha256", "")) for group in sorted(file)}
+        return {group: str(plain(file[group].attrs.get("sha256", ""))) for group in sorted(file)}
 
 
 def root_attributes(path: str | Path) -> dict[str, Any]:
     """Attributes of the whole file: schema, scenario, seed, and what its maker noted."""
     with _reading(Path(path)) as file:
-        return {k: v.item() if isinstance(v, np.generic) else v for k, v in file.attrs.items()}
+        return {k: plain(v) for k, v in file.attrs.items()}
 
 
 def record_type(path: str | Path, group: str) -> str:
     """Name of the record a group holds."""
     with _reading(Path(path)) as file:
-        return str(file[group].attrs.get("record", ""))
+        return str(plain(file[group].attrs.get("record", "")))
 
 
 def verify_group(path: str | Path, group: str) -> str:
@@ -346,13 +361,10 @@ def verify_group(path: str | Path, group: str) -> str:
             columns = {}
             for name in node:
                 if not is_scale(node, name):
-                    array = node[name][()]
-                    if array.dtype.kind == "O":
-                        array = np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
-                    columns[name] = array
-            plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in node.attrs.items()}
-            found = _digest(columns, {k: v for k, v in plain.items() if k not in ("record", "sha256")})
-        stated = node.attrs.get("sha256")
+                    columns[name] = _texts(node[name][()])
+            attributes = {k: plain(v) for k, v in node.attrs.items()}
+            found = _digest(columns, {k: v for k, v in attributes.items() if k not in ("record", "sha256")})
+        stated = plain(node.attrs.get("sha256"))
         if stated is not None and stated != found:
             raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
         return found

@@ -46,13 +46,29 @@ DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
 }  # fmt: skip
 
 
+def set_text(node: h5py.HLObject, name: str, text: str) -> None:
+    """Set a text attribute of fixed length, which lies in the checksummed header.
+
+    Texts of variable length lie in HDF5's global heap, which has no checksum and whose damage can hang the library.
+    """
+    size = max(1, len(text.encode()))
+    node.attrs.create(name, text.encode(), dtype=h5py.string_dtype("utf-8", size))
+
+
+def plain(value):
+    """An attribute as a Python value: text, number or truth value."""
+    if isinstance(value, bytes):
+        return value.decode()
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", 0) == 0 else value
+
+
 def annotate(node: h5py.Group, record: str) -> None:
     """Add frames and dimension scales to a record's group; the content and its hash stay as they are."""
     dimensions = DIMENSIONS.get(record, {})
     for name in dimensions.keys() & node.keys():
         data, named = node[name], dimensions[name]
         if name in FRAMES:
-            data.attrs["frame"] = FRAMES[name]
+            set_text(data, "frame", FRAMES[name])
         if data.ndim != len(named):
             continue
         for axis, dimension in enumerate(named):

@@ -10,6 +10,7 @@ exit code 1 if anything else happened.
 """
 
 import argparse
+import faulthandler
 import json
 import os
 import shutil
@@ -83,6 +84,7 @@ def mutated(whole: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _read(path: Path, expected: dict, answers) -> None:
+    faulthandler.dump_traceback_later(TIMEOUT - 5, exit=True)
     try:
         answers.put("same" if content(path) == expected else "CHANGED SILENTLY")
     except DatasetError:
