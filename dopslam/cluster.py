@@ -43,7 +43,9 @@ def workers(address: str | None) -> Iterator[int | None]:
     try:
         threads = sum(client.nthreads().values())
         if not threads:
-            raise DopslamError(f"--cluster {address!r}: the scheduler has no workers; start some with 'dask worker {address}'")
+            raise DopslamError(
+                f"--cluster {address!r}: the scheduler has no workers; start some with 'dask worker {address}'"
+            )
         with parallel_config(backend="dask", n_jobs=threads):
             yield threads
     finally:

@@ -148,7 +148,9 @@ def content_hash(record) -> str:
     return _digest(*_split(record))
 
 
-def write_record(path: str | Path, group: str, record, scenario_toml: str | None = None, seed: int | None = None) -> None:
+def write_record(
+    path: str | Path, group: str, record, scenario_toml: str | None = None, seed: int | None = None
+) -> None:
     """Add or replace one record of a dataset file.
 
     Parameters
@@ -167,7 +169,11 @@ def write_record(path: str | Path, group: str, record, scenario_toml: str | None
 
 
 def write_records(
-    path, records: dict[str, Any], scenario_toml: str | None = None, seed: int | None = None, attributes: dict | None = None
+    path,
+    records: dict[str, Any],
+    scenario_toml: str | None = None,
+    seed: int | None = None,
+    attributes: dict | None = None,
 ) -> None:
     """Add or replace several records at once, and attributes of the root; see :func:`write_record`."""
     extra = sum(column.nbytes for record in records.values() for column in _split(record)[0].values())

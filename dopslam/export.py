@@ -177,7 +177,9 @@ def _tum(parts: list[Part], out: Path) -> None:
             if group.startswith("slam_"):
                 mean = dataset.read_record(part.path, group, History).mean
                 position = np.column_stack([mean[:, :2], track.position[:, 2]])
-                (out / f"{group}.tum").write_text("".join(_pose_lines(track.time, position, mean[:, 2])), encoding="ascii")
+                (out / f"{group}.tum").write_text(
+                    "".join(_pose_lines(track.time, position, mean[:, 2])), encoding="ascii"
+                )
 
 
 def _pose_lines(time: np.ndarray, position: np.ndarray, heading: np.ndarray) -> Iterator[str]:
@@ -188,8 +190,10 @@ def _pose_lines(time: np.ndarray, position: np.ndarray, heading: np.ndarray) -> 
 def _deepmimo(parts: list[Part], out: Path) -> None:
     """Matrices of DeepMIMO v4: one ``.mat`` per quantity, NaN where a receiver has fewer paths, strongest first.
 
-    Angles in degrees in the world frame (``…_el`` is the zenith angle), power 20 log₁₀|a| in dB, phase of ``a·e^{−j2πf_cτ}`` left
-    to the reader: ``a`` excludes it. Interaction codes 0 line of sight, 1 reflection, 3 scattering, a digit per bounce from the
+    Angles in degrees in the world frame (``…_el`` is the zenith angle), power 20 log₁₀|a| in dB, phase of
+    ``a·e^{−j2πf_cτ}`` left
+    to the reader: ``a`` excludes it. Interaction codes 0 line of sight, 1 reflection, 3 scattering, a digit per
+    bounce from the
     transmitter on.
     """
     from scipy.io import savemat
@@ -202,7 +206,9 @@ def _deepmimo(parts: list[Part], out: Path) -> None:
         for table in tables:
             block = table[name]
             if name != "rx_pos":
-                pad = [(0, 0), (0, width - block.shape[1])] + ([(0, depth - block.shape[2]), (0, 0)] if block.ndim == 4 else [])
+                pad = [(0, 0), (0, width - block.shape[1])] + (
+                    [(0, depth - block.shape[2]), (0, 0)] if block.ndim == 4 else []
+                )
                 block = np.pad(block, pad, constant_values=np.nan)
             blocks.append(block)
         savemat(out / f"{name}_t000_tx000_r001.mat", {name: np.concatenate(blocks).astype(np.float32)})
@@ -270,7 +276,9 @@ def _sigmf(parts: list[Part], out: Path) -> None:
     for number, part in enumerate(parts):
         steps = dataset.signal_steps(part.path)
         if not steps:
-            raise DatasetError(f"{part.path}: holds no signal; make the dataset with --signal, or run 'dopslam synthesize'")
+            raise DatasetError(
+                f"{part.path}: holds no signal; make the dataset with --signal, or run 'dopslam synthesize'"
+            )
         digest, shape, name = hashlib.sha512(), None, f"part-{number:05d}"
         with open(out / f"{name}.sigmf-data", "wb") as file:
             for step in range(steps):

@@ -1,6 +1,7 @@
 """Detections that somebody else measured or simulated, as a dataset that ``dopslam slam`` runs on.
 
-A table (CSV with a header, or a MATLAB file of equally long vectors) holds one row per detected path. A small TOML file says what
+A table (CSV with a header, or a MATLAB file of equally long vectors) holds one row per detected path. A small TOML
+file says what
 its columns mean::
 
     [columns]                  # ours = "name in the table"; any subset, but time or step, and delay or an angle
@@ -30,12 +31,14 @@ its columns mean::
     [std]                      # in the table's unit, where there is no …_std column
     delay = 0.3
 
-    [assumed]                  # what to put where a quantity is missing, in rad, s or m/s; with [std] it counts as measured
+    [assumed]                  # what to put where a quantity is missing, in rad, s or m/s; with [std] it counts as
+    measured
     aoa_elevation = 0.0
 
     noise_floor_db = -90.0     # with power: what is subtracted to get the SNR
 
-A quantity that is neither measured nor assumed gets a variance so wide that it tells nothing, and the volume over which false
+A quantity that is neither measured nor assumed gets a variance so wide that it tells nothing, and the volume over
+which false
 paths spread is widened alike, so that no hypothesis gains by it.
 """
 
@@ -158,7 +161,9 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
             columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
             found = dict(zip((name.strip() for name in header), map(np.array, columns), strict=True))
     except (OSError, ValueError, TypeError, NotImplementedError, KeyError, IndexError) as error:
-        raise DatasetError(f"{path}: cannot be read as CSV with a header or a MATLAB file before v7.3 ({error})") from error
+        raise DatasetError(
+            f"{path}: cannot be read as CSV with a header or a MATLAB file before v7.3 ({error})"
+        ) from error
     table = {}
     for name in names:
         if name not in found:
@@ -169,7 +174,9 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
             raise DatasetError(f"{path}: column {name!r} holds something that is no number ({error})") from error
         if not np.all(np.isfinite(table[name])):
             row = int(np.argmin(np.isfinite(table[name])))
-            raise DatasetError(f"{path}: column {name!r} holds {table[name][row]} in data row {row + 1}; remove such rows")
+            raise DatasetError(
+                f"{path}: column {name!r} holds {table[name][row]} in data row {row + 1}; remove such rows"
+            )
     if len({len(column) for column in table.values()}) > 1:
         sizes = ", ".join(f"{name} {len(column)}" for name, column in table.items())
         raise DatasetError(f"{path}: columns differ in length: {sizes}")
@@ -233,7 +240,11 @@ def _steps(path, get: dict[str, np.ndarray], scenario: Scenario) -> np.ndarray:
             raise DatasetError(f"{path}: the step column holds numbers that are not whole or below 0")
         return step.astype(int)
     time = get["time"]
-    return np.round((time - time.min(initial=np.inf)) / scenario.track.period).astype(int) if len(time) else np.zeros(0, int)
+    return (
+        np.round((time - time.min(initial=np.inf)) / scenario.track.period).astype(int)
+        if len(time)
+        else np.zeros(0, int)
+    )
 
 
 def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:
@@ -259,7 +270,9 @@ def _measured(path, get: dict[str, np.ndarray], mapping: Mapping, scenario: Scen
             elif source in mapping.std:
                 std[:, i] = mapping.std[source] * scale
             else:
-                raise DatasetError(f"{path}: how accurate is {source}? Give std.{source} or a column {source}_std in the mapping")
+                raise DatasetError(
+                    f"{path}: how accurate is {source}? Give std.{source} or a column {source}_std in the mapping"
+                )
             if np.any(std[:, i] <= 0):
                 raise DatasetError(f"{path}: column {source}_std holds values that are not positive")
             _turn(name, i, z, mapping)

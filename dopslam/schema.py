@@ -1,8 +1,11 @@
 """The dataset file's schema in one place: for every array its unit, frame and dimensions.
 
-Version 1. A group per record; a dataset per array; ragged columns lie flat with an ``…offsets`` column that rises from 0 to the
-number of rows. The dimension names become HDF5 dimension scales, so that xarray (engine ``h5netcdf``) opens a group as it is.
-Frames: ``world`` right-handed, z up; ``receiver`` with azimuth counted from the heading; ``base station`` turned by its yaw.
+Version 1. A group per record; a dataset per array; ragged columns lie flat with an ``…offsets`` column that rises
+from 0 to the
+number of rows. The dimension names become HDF5 dimension scales, so that xarray (engine ``h5netcdf``) opens a group
+as it is.
+Frames: ``world`` right-handed, z up; ``receiver`` with azimuth counted from the heading; ``base station`` turned by
+its yaw.
 """
 
 from __future__ import annotations

@@ -98,7 +98,9 @@ def read_sweep(path: str | Path) -> Sweep:
         raise ConfigError(f"{path}: needs scenario, and a table [vary] with at least one key and its values")
     for key, values in tree["vary"].items():
         if not isinstance(values, list) or not values:
-            raise ConfigError(f"{path}: vary.{key!r} = {values!r}; give a list of values (and keys with dots in quotes)")
+            raise ConfigError(
+                f"{path}: vary.{key!r} = {values!r}; give a list of values (and keys with dots in quotes)"
+            )
     sweep = Sweep(
         tree["scenario"], tree["vary"], tree.get("source", "model"), tree.get("filter", "joint"),
         tree.get("runs", 20), tree.get("seed", 0), tuple(map(str, tree.get("set", []))),
@@ -153,7 +155,8 @@ def table(rows: list[Row]) -> tuple[list[str], list[list[str]]]:
     names = list(rows[0].figures)
     header = [*rows[0].point, *(f"{n}{part}" for n in names for part in ("", "_low", "_high")), "diverged"]
     body = [
-        [*map(str, row.point.values()), *(f"{v:.6g}" for n in names for v in row.figures[n]), str(row.diverged)] for row in rows
+        [*map(str, row.point.values()), *(f"{v:.6g}" for n in names for v in row.figures[n]), str(row.diverged)]
+        for row in rows
     ]
     return header, body
 

@@ -1,6 +1,7 @@
 """Tracks for large datasets: drives sampled from lines, circles, a polygon or the motion model, or read from a file.
 
-Every drive depends on the seed and its own number only, so that any part of a dataset can be made alone. Positions in the world
+Every drive depends on the seed and its own number only, so that any part of a dataset can be made alone. Positions in
+the world
 frame [m], headings [rad], speeds [m/s]; the clock bias walks as in eq. (1) of paper A.
 """
 
@@ -34,7 +35,8 @@ class Steps:
     index : (K,) number of the position in the whole dataset
     drive : (K,) number of the drive
     step : (K,) step within the drive
-    start : (K, 4) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before its drive's first step
+    start : (K, 4) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before its drive's
+    first step
     """
 
     index: np.ndarray
@@ -273,11 +275,15 @@ def _read(scenario: Scenario, config: FileTracks) -> tuple[dict[str, np.ndarray]
         with open(path, newline="", encoding="utf-8") as file:
             header, *lines = [line for line in csv.reader(file) if line and not line[0].startswith("#")]
     except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ConfigError(f"dataset.tracks.file = {config.file!r}: cannot be read as CSV with a header ({error})") from error
+        raise ConfigError(
+            f"dataset.tracks.file = {config.file!r}: cannot be read as CSV with a header ({error})"
+        ) from error
     names = [name.strip() for name in header]
     known = ("time", "x", "y", "z", "heading", "vx", "vy", "vz", "bias", "drive")
     if not {"time", "x", "y"} <= set(names) or not set(names) <= set(known) or not lines:
-        raise ConfigError(f"{path}: columns are {', '.join(names)}; needed are time, x, y and rows, known are {', '.join(known)}")
+        raise ConfigError(
+            f"{path}: columns are {', '.join(names)}; needed are time, x, y and rows, known are {', '.join(known)}"
+        )
     try:
         table = np.array(lines, dtype=float)
         if table.shape[1] != len(names) or len(set(names)) < len(names):

@@ -2,8 +2,10 @@
 
     python scripts/benchmark_dataset.py [POSITIONS …]
 
-One line of JSON per number of positions (default 1000 and 10000), each from a process of its own with warm kernels (the first,
-small run is thrown away). ``cpu_s`` counts all threads; ``overhead_cpu`` is what the dataset adds to the tracer's own calls for the
+One line of JSON per number of positions (default 1000 and 10000), each from a process of its own with warm kernels
+(the first,
+small run is thrown away). ``cpu_s`` counts all threads; ``overhead_cpu`` is what the dataset adds to the tracer's own
+calls for the
 same positions in the same run. The last line gives the speed of reading a large file with its checksums verified.
 """
 
@@ -89,7 +91,11 @@ def reading(rows: int = 1_000_000) -> dict:
                 for data in file["paths"].values():
                     data[()]
             raw.append(time.process_time() - start)
-    return {"file_mb": round(size / 1e6), "verified_mb_per_cpu_s": round(size / 1e6 / min(verified)), "raw_mb_per_cpu_s": round(size / 1e6 / min(raw))}
+    return {
+        "file_mb": round(size / 1e6),
+        "verified_mb_per_cpu_s": round(size / 1e6 / min(verified)),
+        "raw_mb_per_cpu_s": round(size / 1e6 / min(raw)),
+    }
 
 
 if __name__ == "__main__":

@@ -3,9 +3,12 @@
     python scripts/fault_study.py mutate [--files 500] [--seed 0]
     python scripts/fault_study.py kill [--times 20] [--seed 0] [--scene ring_road] [--positions 4000]
 
-``mutate`` damages a dataset file (flipped bits, overwritten, zeroed, removed, inserted and swapped ranges, truncation) and reads
-each copy in a process of its own: allowed are the one documented error or exactly the old content. ``kill`` sends SIGKILL to
-``dopslam dataset`` at random moments, resumes, and compares the manifest with that of an undisturbed run. One line of JSON each;
+``mutate`` damages a dataset file (flipped bits, overwritten, zeroed, removed, inserted and swapped ranges,
+truncation) and reads
+each copy in a process of its own: allowed are the one documented error or exactly the old content. ``kill`` sends
+SIGKILL to
+``dopslam dataset`` at random moments, resumes, and compares the manifest with that of an undisturbed run. One line of
+JSON each;
 exit code 1 if anything else happened.
 """
 
@@ -53,7 +56,12 @@ def make_file(path: Path) -> None:
 def content(path: Path) -> dict:
     """Everything a reader gets from the file, as hashes."""
     found = {"root": dataset.read_root(path)}
-    for group, name in (("track", "Track"), ("landmarks", "Landmarks"), ("paths", "Paths"), ("detections", "DetectionSeries")):
+    for group, name in (
+        ("track", "Track"),
+        ("landmarks", "Landmarks"),
+        ("paths", "Paths"),
+        ("detections", "DetectionSeries"),
+    ):
         found[group] = dataset.content_hash(dataset.read_record(path, group, TYPES[name]))
     found["signal"] = [dataset.read_snapshot(path, step).tobytes() for step in range(dataset.signal_steps(path))]
     return found
@@ -124,7 +132,15 @@ def mutate(files: int, seed: int) -> dict:
 def kill(times: int, seed: int, scene: str, positions: int) -> dict:
     """Kill, resume, compare."""
     rng, killed = np.random.default_rng(seed), 0
-    program = [sys.executable, "-c", "from dopslam.cli import main; main()", "dataset", scene, "--positions", str(positions)]
+    program = [
+        sys.executable,
+        "-c",
+        "from dopslam.cli import main; main()",
+        "dataset",
+        scene,
+        "--positions",
+        str(positions),
+    ]
     program += ["--set", "trace.samples=20000", "--set", "dataset.shard_positions=200", "--resume", "--out"]
     with tempfile.TemporaryDirectory() as place:
         calm, stormy = Path(place) / "calm", Path(place) / "stormy"
@@ -147,7 +163,9 @@ def kill(times: int, seed: int, scene: str, positions: int) -> dict:
         subprocess.run([*program, str(stormy)], check=True, capture_output=True)
         same = (stormy / "manifest.json").read_bytes() == (calm / "manifest.json").read_bytes()
         litter = sorted(set(os.listdir(stormy)) - set(os.listdir(calm)))
-    wrong = ([] if same else ["another manifest"]) + [f"left behind: {name}" for name in litter if "manifest" not in name]
+    wrong = ([] if same else ["another manifest"]) + [
+        f"left behind: {name}" for name in litter if "manifest" not in name
+    ]
     return {"killed": killed, "of": times, "shards_after_each": survivors, "wrong": wrong}
 
 

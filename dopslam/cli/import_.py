@@ -49,7 +49,10 @@ def import_(
     world = load(scenario, [f"source.kind={kind}", *overrides(settings)])
     truth = None
     if track is not None:
-        own = load(scenario, [*overrides(settings), 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"])
+        own = load(
+            scenario,
+            [*overrides(settings), 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"],
+        )
         source = tracks.sampled(own, 0)
         truth, _ = source.part(0, int(source.lengths.sum()))
     found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth)

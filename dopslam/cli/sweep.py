@@ -41,7 +41,9 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     with workers(cluster) as threads, timed_bars() as progress:
         rows = library.run_sweep(plan, out, threads or worker_count(jobs), progress)
     header, body = library.table(rows)
-    write_text(out / "table.csv", "".join(",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body]))
+    write_text(
+        out / "table.csv", "".join(",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body])
+    )
     results = [{"point": row.point, "figures": row.figures, "diverged": row.diverged} for row in rows]
     write_json(out / "sweep.json", {"runs": plan.runs, "seed": plan.seed, "filter": plan.filter, "results": results})
     library.figure(rows).savefig(out / "sweep.png", dpi=150)

@@ -33,8 +33,10 @@ class Finding:
 def check(path: str | Path, progress: Progress = quiet) -> list[Finding]:
     """Validate a dataset folder or a dataset file.
 
-    Verified are: the manifest, that every shard is there and belongs to it, checksums and content hashes of every array, schema
-    and shapes, finite values, and physics: each delay is the length along its interaction points, angles are those of its first
+    Verified are: the manifest, that every shard is there and belongs to it, checksums and content hashes of every
+    array, schema
+    and shapes, finite values, and physics: each delay is the length along its interaction points, angles are those of
+    its first
     and last legs, indices exist, covariances are positive definite.
 
     Returns
@@ -125,7 +127,9 @@ def _file(path: Path, hashed: bool = False) -> Iterator[Finding]:
 def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
     track, landmarks, paths = (records.get(name) for name in ("track", "landmarks", "paths"))
     detections = records.get("detections")
-    steps = {name: r.steps for name, r in (("track", track), ("paths", paths), ("detections", detections)) if r is not None}
+    steps = {
+        name: r.steps for name, r in (("track", track), ("paths", paths), ("detections", detections)) if r is not None
+    }
     if len(set(steps.values())) > 1:
         yield next(iter(steps)), f"numbers of steps differ: {', '.join(f'{n} {k}' for n, k in steps.items())}"
         return
@@ -177,4 +181,7 @@ def _geometry(track: Track, landmarks: Landmarks, paths: Paths, bs: np.ndarray) 
         wrong = np.linalg.norm(unit - said, axis=1) > 1e-6
         if np.any(wrong):
             row = int(np.argmax(wrong))
-            yield f"paths/theta_{ends}, phi_{ends}", f"{wrong.sum()} directions do not follow the path (first: row {row})"
+            yield (
+                f"paths/theta_{ends}, phi_{ends}",
+                f"{wrong.sum()} directions do not follow the path (first: row {row})",
+            )

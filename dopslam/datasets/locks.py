@@ -17,7 +17,8 @@ FOLDER = ".locks"
 def claim(folder: Path, number: int, wait: bool = False) -> Iterator[bool]:
     """Whether this process may make a shard: True while the lock is held, False if another process holds it.
 
-    The operating system releases the lock of a process that dies. On file systems without locks everybody may: shards are
+    The operating system releases the lock of a process that dies. On file systems without locks everybody may: shards
+    are
     put in place whole and are the same whoever makes them, so that only time is lost.
     """
     try:

@@ -29,7 +29,8 @@ def generate(
     folder : made if missing
     plan : see :func:`dopslam.datasets.plan.make_plan`
     scenario : the one the plan was made from
-    resume : go on with a dataset that was begun, or help another process with it; whole shards are verified and kept, damaged
+    resume : go on with a dataset that was begun, or help another process with it; whole shards are verified and kept,
+    damaged
         ones are made again
     jobs : worker processes of the estimation, if detections are asked for
     progress : callback (stage, done, total) with positions
@@ -72,7 +73,9 @@ def generate(
 class _Maker:
     """Keeps the tracer between shards, and loads it only if a shard has to be made."""
 
-    def __init__(self, folder: Path, plan: Plan, scenario: Scenario, source: tracks.Tracks, jobs: int, progress: Progress):
+    def __init__(
+        self, folder: Path, plan: Plan, scenario: Scenario, source: tracks.Tracks, jobs: int, progress: Progress
+    ):
         self.folder, self.plan, self.scenario, self.source = folder, plan, scenario, source
         self.jobs, self.progress = jobs, progress
         self.tracer: ShardTracer | None = None
@@ -104,13 +107,19 @@ def _enter(folder: Path, plan: Plan, resume: bool) -> None:
         raise DatasetError(f"{folder}: cannot be made or read ({error.strerror}); give another folder") from error
     if (folder / FILE).exists():
         if not resume:
-            raise DatasetError(f"{folder}: holds a dataset already; add --resume to go on with it, or give another folder")
+            raise DatasetError(
+                f"{folder}: holds a dataset already; add --resume to go on with it, or give another folder"
+            )
         difference = read_manifest(folder).plan.difference(plan)
         if difference:
-            raise DatasetError(f"{folder}: holds another dataset: {difference}; give the same options or another folder")
+            raise DatasetError(
+                f"{folder}: holds another dataset: {difference}; give the same options or another folder"
+            )
         return
     if strangers:
-        raise DatasetError(f"{folder}: is not empty ({sorted(strangers)[0]}, …) and holds no dataset; give another folder")
+        raise DatasetError(
+            f"{folder}: is not empty ({sorted(strangers)[0]}, …) and holds no dataset; give another folder"
+        )
     try:
         write_manifest(folder, Manifest(plan), fresh=True)
     except DatasetError:

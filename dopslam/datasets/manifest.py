@@ -101,7 +101,9 @@ def write_manifest(folder: Path, manifest: Manifest, fresh: bool = False) -> Non
     except FileExistsError as error:
         raise DatasetError(f"{path}: exists already; add --resume to go on with it, or name another folder") from error
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be written ({error.strerror or error}); what was there is as it was") from error
+        raise DatasetError(
+            f"{path}: cannot be written ({error.strerror or error}); what was there is as it was"
+        ) from error
     finally:
         if part is not None:
             with contextlib.suppress(OSError):
@@ -142,7 +144,9 @@ def read_manifest(folder: str | Path) -> Manifest:
             sha256=tree["sha256"],
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise DatasetError(f"{path}: not a readable manifest ({error}); make the dataset anew or restore the file") from error
+        raise DatasetError(
+            f"{path}: not a readable manifest ({error}); make the dataset anew or restore the file"
+        ) from error
     if manifest.complete and manifest.sha256 != manifest.digest():
         raise DatasetError(f"{path}: its content does not match its own checksum; it was changed or damaged")
     return manifest

@@ -83,7 +83,9 @@ def make_plan(
     if count < 1:
         raise ConfigError(f"--positions {count}: give at least 1")
     if source.limit is not None and count > source.limit:
-        raise ConfigError(f"--positions {count}: the track file holds {source.limit}; give at most that or leave it out")
+        raise ConfigError(
+            f"--positions {count}: the track file holds {source.limit}; give at most that or leave it out"
+        )
     if seed < 0:
         raise ConfigError(f"--seed {seed}: give a whole number from 0")
     config = scenario.dataset or DatasetConfig()

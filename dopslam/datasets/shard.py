@@ -98,8 +98,14 @@ def first_steps(paths: Paths, steps: int) -> Paths:
 
 
 def make_shard(
-    folder: Path, plan: Plan, number: int, scenario: Scenario, source: Tracks, tracer: ShardTracer,
-    jobs: int = 1, progress: Progress = quiet,
+    folder: Path,
+    plan: Plan,
+    number: int,
+    scenario: Scenario,
+    source: Tracks,
+    tracer: ShardTracer,
+    jobs: int = 1,
+    progress: Progress = quiet,
 ) -> None:
     """Make one shard and move it into place.
 
@@ -133,7 +139,9 @@ def _workplace(folder: Path, number: int) -> Iterator[Path]:
     try:
         place = Path(tempfile.mkdtemp(prefix=f"{number:05d}-", dir=_made(Path(folder) / WORK)))
     except OSError as error:
-        raise DatasetError(f"{folder}: cannot be written ({error.strerror}); make room or give another folder") from error
+        raise DatasetError(
+            f"{folder}: cannot be written ({error.strerror}); make room or give another folder"
+        ) from error
     try:
         yield place / "shard.h5"
     finally:
@@ -174,7 +182,9 @@ def inspect_shard(folder: Path, plan: Plan, number: int, verify: bool = True) ->
     path = shard_file(folder, number)
     hashes = dataset.stored_hashes(path)
     if set(hashes) != expected_groups(plan):
-        raise DatasetError(f"{path}: holds {', '.join(hashes)} where {', '.join(sorted(expected_groups(plan)))} are expected")
+        raise DatasetError(
+            f"{path}: holds {', '.join(hashes)} where {', '.join(sorted(expected_groups(plan)))} are expected"
+        )
     if verify:
         hashes = {group: dataset.verify_group(path, group) for group in hashes}
     if dataset.read_root(path) != (plan.scenario, plan.seed) or dataset.root_attributes(path).get("shard") != number:
@@ -184,5 +194,9 @@ def inspect_shard(folder: Path, plan: Plan, number: int, verify: bool = True) ->
     shapes = {(group, name): shape for group, name, shape, *_ in dataset.describe(path)}
     right = np.array_equal(index, np.arange(first, first + count)) and shapes["track", "time"] == str(count)
     if not right:
-        raise DatasetError(f"{path}: does not hold the positions {first} to {first + count - 1}; remove it and add --resume")
-    return ShardEntry(path.name, first, count, int(shapes["paths", "tau"]), shard_hash(hashes)), dataset.read_record(path, "landmarks", Landmarks)
+        raise DatasetError(
+            f"{path}: does not hold the positions {first} to {first + count - 1}; remove it and add --resume"
+        )
+    return ShardEntry(path.name, first, count, int(shapes["paths", "tau"]), shard_hash(hashes)), dataset.read_record(
+        path, "landmarks", Landmarks
+    )

@@ -28,10 +28,23 @@ def scheduler():
     address = f"tcp://127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    started = [subprocess.Popen([*command, "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], **quiet)]
+    started = [
+        subprocess.Popen(
+            [*command, "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], **quiet
+        )
+    ]
     try:
         for _ in range(2):
-            worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+            worker = [
+                sys.executable,
+                "-m",
+                "distributed.cli.dask_worker",
+                address,
+                "--nthreads",
+                "1",
+                "--no-nanny",
+                "--no-dashboard",
+            ]
             started.append(subprocess.Popen(worker, **quiet))
         from distributed import Client
 
@@ -77,7 +90,10 @@ def test_detections_are_the_same_on_two_dask_workers(scheduler, worker, tmp_path
 def test_an_address_without_a_scheduler_is_one_error(monkeypatch):
     pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
     monkeypatch.setattr(cluster, "TIMEOUT", 1)
-    with pytest.raises(DopslamError, match="no Dask scheduler answers"), cluster.workers(f"tcp://127.0.0.1:{free_port()}"):
+    with (
+        pytest.raises(DopslamError, match="no Dask scheduler answers"),
+        cluster.workers(f"tcp://127.0.0.1:{free_port()}"),
+    ):
         pass
 
 

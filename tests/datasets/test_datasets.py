@@ -251,7 +251,9 @@ def test_traced_datasets_equal_the_traced_stage(tmp_path, call):
     track = dataset.read_record(tmp_path / "t.h5", "track", Track)
     paths = dataset.read_record(tmp_path / "t.h5", "paths", Paths)
     mine = dataset.read_record(tmp_path / "d" / "shard-00000.h5", "paths", Paths)
-    assert np.array_equal(dataset.read_record(tmp_path / "d" / "shard-00000.h5", "track", Track).position[:6], track.position)
+    assert np.array_equal(
+        dataset.read_record(tmp_path / "d" / "shard-00000.h5", "track", Track).position[:6], track.position
+    )
     for name in ("landmark", "a", "tau", "phi_r", "doppler"):
         assert np.array_equal(getattr(mine, name)[: len(paths.tau)], getattr(paths, name))
     shards = [dataset.read_record(tmp_path / "e" / f"shard-0000{i}.h5", "paths", Paths) for i in range(3)]

@@ -16,7 +16,9 @@ from dopslam.records import Landmarks, Paths, Track
 @pytest.fixture(scope="module")
 def first(made):
     path = made / "shard-00000.h5"
-    return tuple(dataset.read_record(path, g, t) for g, t in (("track", Track), ("landmarks", Landmarks), ("paths", Paths)))
+    return tuple(
+        dataset.read_record(path, g, t) for g, t in (("track", Track), ("landmarks", Landmarks), ("paths", Paths))
+    )
 
 
 def test_csv_has_a_row_per_path_and_per_position(made, first, tmp_path):
@@ -53,7 +55,19 @@ def test_deepmimo_matrices(made, first, tmp_path):
     export.export(made, tmp_path / "o", "deepmimo")
     matrix = {
         name: loadmat(tmp_path / "o" / f"{name}_t000_tx000_r001.mat")[name]
-        for name in ("power", "delay", "aoa_el", "aod_az", "inter", "inter_pos", "rx_pos", "tx_pos", "phase", "aoa_az", "aod_el")
+        for name in (
+            "power",
+            "delay",
+            "aoa_el",
+            "aod_az",
+            "inter",
+            "inter_pos",
+            "rx_pos",
+            "tx_pos",
+            "phase",
+            "aoa_az",
+            "aod_el",
+        )
     }
     assert matrix["delay"].shape == (31, 6) and matrix["inter_pos"].shape == (31, 6, 1, 3)
     assert np.all(np.diff(matrix["power"], axis=1) <= 0)

@@ -1,6 +1,6 @@
 """Makes a small dataset without a ray tracer: line of sight, one wall and the scatter points by the image method.
 
-    python worker.py FOLDER POSITIONS [--resume] [--slow SECONDS]
+python worker.py FOLDER POSITIONS [--resume] [--slow SECONDS]
 """
 
 import sys
@@ -40,7 +40,9 @@ class PlainTracer:
             *(geometry.scattered_paths(BS, track.position, np.tile(p, (count, 1))) for p in self.points),
         ]
         column = {
-            name: np.stack([getattr(part, name) for part in parts], axis=1).reshape(-1, *getattr(parts[0], name).shape[1:])
+            name: np.stack([getattr(part, name) for part in parts], axis=1).reshape(
+                -1, *getattr(parts[0], name).shape[1:]
+            )
             for name in ("length", "departure", "arrival")
         }
         points_of = np.stack([part.vertices[:, 0] for part in parts[1:]], axis=1).reshape(-1, 3)
