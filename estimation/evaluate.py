@@ -151,6 +151,10 @@ def summarize(matches: list[Match], accuracy_from: float = 10**1.8) -> Summary:
     own = np.concatenate([m.covariance[k] for m, k in zip(matches, keep, strict=True)])
     nees = np.concatenate([m.nees[k] for m, k in zip(matches, keep, strict=True)])
     count, size = error.shape
+    if count == 0:
+        unknown, false = np.full(size, np.nan), float(np.mean([m.false for m in matches]))
+        nothing = np.full((size, 2), np.nan)
+        return Summary(unknown, nothing, np.nan, nothing[0], unknown, 0, 0, false, len(matches))
     ratio = error**2 / np.diagonal(bound, axis1=1, axis2=2)
     rmse = np.sqrt(ratio.mean(axis=0))
     spread = 1.96 * ratio.std(axis=0) / np.sqrt(max(count, 1)) / (2 * np.maximum(rmse, 1e-300))
