@@ -80,9 +80,12 @@ def run(
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
-        for variant, doppler in stages.VARIANTS.values():
-            if (used or not doppler) and variant in ("joint", "marginal", scenario.filter.density):
+            densities = ("joint", "marginal", scenario.filter.density)
+            wanted = [v for v in stages.VARIANTS.values() if v[0] in densities and (used or not v[1])]
+            for done, (variant, doppler) in enumerate(wanted):
+                progress("slam", done, len(wanted))  # the very first run compiles for a minute
                 timed("slam", stages.slam, data, (), variant, doppler)
+            progress("slam", len(wanted), len(wanted))
         for doppler in (True, False) if used else (False,):
             timed("bound", stages.bound, data, (), doppler)
         start = time.perf_counter()
