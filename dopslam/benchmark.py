@@ -61,9 +61,7 @@ def crowded(landmarks: int, detections: int | None = None, seed: int = 0) -> Sit
         base,
         kind=np.array([BS] + [VA] * anchors + [SP] * (landmarks - anchors), dtype=np.int64),
         position=np.vstack([base.bs, va, sp]),
-        noise=FixedNoise(base.noise.std, probability, None)
-        if isinstance(base.noise, FixedNoise)
-        else base.noise,
+        noise=FixedNoise(base.noise.std, probability, None) if isinstance(base.noise, FixedNoise) else base.noise,
     )
 
 
@@ -79,9 +77,7 @@ def growth(repeats: int = 3) -> dict[str, Any]:
     def measured(world: Situation) -> float:
         noise = world.noise
         assert isinstance(noise, FixedNoise)
-        parameters = FilterParameters(
-            detection=ConstantDetection(noise.detection_probability, noise.sp_range)
-        )
+        parameters = FilterParameters(detection=ConstantDetection(noise.detection_probability, noise.sp_range))
         return microseconds_per_step(Study(world, parameters), repeats)["recursion"]
 
     landmarks, detections = [8, 16, 32, 64], [5, 10, 20, 40]

@@ -141,9 +141,7 @@ def pcrb(
     ue, landmark = np.empty((steps, n, n)), np.full((steps, count, 3, 3), np.nan)
     seen = np.zeros(count, dtype=bool)
     for k in range(steps):
-        information = _predict_information(
-            information, transition_jacobian(previous[k], motion), motion.process_noise
-        )
+        information = _predict_information(information, transition_jacobian(previous[k], motion), motion.process_noise)
         for i in range(count):
             if detected[k, i] <= 0:
                 continue

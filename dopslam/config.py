@@ -1,7 +1,8 @@
 """``scenario.toml`` → frozen, validated models.
 
 One scene folder holds ``scene.xml`` (geometry, materials) and ``scenario.toml`` (everything else). Any key can be
-overridden with ``--set key.path=value``. Keys carry a unit suffix (``_deg``, ``_db``, ``_dbm``) only where they are not SI;
+overridden with ``--set key.path=value``. Keys carry a unit suffix (``_deg``, ``_db``, ``_dbm``) only where they are
+not SI;
 angles without a suffix are radians.
 """
 
@@ -37,7 +38,9 @@ class Scene(_Frozen):
 
     file: str | None = None
     builtin: str | None = None
-    materials: dict[str, str] = Field(default_factory=dict)  # material in the file → material used, e.g. marble → concrete
+    materials: dict[str, str] = Field(
+        default_factory=dict
+    )  # material in the file → material used, e.g. marble → concrete
 
     @model_validator(mode="after")
     def _one_source(self):

@@ -1,9 +1,13 @@
 """The dataset file: every noun of the pipeline in one HDF5 file that can be entered and left anywhere.
 
-Layout, schema version 1: one group per record (``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …), one dataset
-per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the seed at the
-root. Each group carries the sha256 of its content; every dataset carries a fletcher32 checksum. Units, frames and dimensions
-are listed in :mod:`dopslam.schema`. Files are written beside their target, synced and moved into place, so that a file is either the old one or the new one.
+Layout, schema version 1: one group per record (``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …),
+one dataset
+per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the seed at
+the
+root. Each group carries the sha256 of its content; every dataset carries a fletcher32 checksum. Units, frames and
+dimensions
+are listed in :mod:`dopslam.schema`. Files are written beside their target, synced and moved into place, so that a
+file is either the old one or the new one.
 """
 
 from __future__ import annotations
@@ -37,7 +41,8 @@ Record = TypeVar("Record")
 def _replacing(path: Path, extra: int = 0) -> Iterator[h5py.File]:
     """Open a copy of ``path`` (or a new file) for writing and move it into place when all went well.
 
-    HDF5 cannot close a file cleanly once a write to the disk has failed. Files are therefore built in memory and written as
+    HDF5 cannot close a file cleanly once a write to the disk has failed. Files are therefore built in memory and
+    written as
     bytes; only beyond ``IN_MEMORY`` (``extra`` bytes are to come) on the disk, after making sure that there is room.
     """
     path = Path(path)

@@ -1,6 +1,7 @@
 """The optional section ``[dataset]`` of a scenario: which tracks a large dataset is made of.
 
-Without the section, every drive is one draw of the scenario's motion model (``[track]``). Speed, period and clock are those of
+Without the section, every drive is one draw of the scenario's motion model (``[track]``). Speed, period and clock are
+those of
 ``[track]`` unless a kind says otherwise.
 """
 

@@ -140,7 +140,8 @@ def _csv(parts: list[Part], out: Path) -> None:
 
 
 def _mat(parts: list[Part], out: Path) -> None:
-    """A MATLAB file per part: structs of flat columns; every row of ``paths`` names its position (from 1) and landmark (from 1)."""
+    """A MATLAB file per part: structs of flat columns; every row of ``paths`` names its position (from 1) and
+    landmark (from 1)."""
     from scipy.io import savemat
 
     kinds = {"track": Track, "steps": Steps, "landmarks": Landmarks, "paths": Paths, "detections": DetectionSeries}
@@ -162,7 +163,8 @@ def _mat(parts: list[Part], out: Path) -> None:
 
 
 def _tum(parts: list[Part], out: Path) -> None:
-    """``drive-00000.tum``: time x y z qx qy qz qw of every true drive; ``slam_….tum`` of every filter history in a file."""
+    """``drive-00000.tum``: time x y z qx qy qz qw of every true drive; ``slam_….tum`` of every filter history in a
+    file."""
     handles: dict[int, Path] = {}
     for part in parts:
         track, steps = part.track, part.steps

@@ -83,9 +83,7 @@ def isometry(normals: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.n
     instance both orders at a right-angled corner.
     """
     matrix, translation = np.eye(3), np.zeros(3)
-    for normal, offset in zip(
-        np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float), strict=True
-    ):
+    for normal, offset in zip(np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float), strict=True):
         householder = np.eye(3) - 2.0 * np.outer(normal, normal)
         matrix, translation = householder @ matrix, householder @ translation + 2.0 * offset * normal
     return matrix, translation
@@ -127,9 +125,7 @@ def reflected_paths(
     for i in reversed(range(depth)):
         line = images[:, i + 1] - point
         with np.errstate(divide="ignore", invalid="ignore"):
-            fraction = (offsets[:, i] - np.sum(normals[:, i] * point, axis=-1)) / np.sum(
-                normals[:, i] * line, axis=-1
-            )
+            fraction = (offsets[:, i] - np.sum(normals[:, i] * point, axis=-1)) / np.sum(normals[:, i] * line, axis=-1)
             point = point + fraction[:, None] * line
         vertices[:, i] = point
     # The departure direction is the arrival line unfolded the other way, by the reflections in reverse order;
@@ -198,12 +194,8 @@ def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     cases at edges, and a mesh with one flat face missing still gives more than ½ exactly on the inner side of
     that face.
     """
-    a, b, c = np.moveaxis(
-        np.asarray(triangles, dtype=float)[None] - np.asarray(points)[:, None, None, :], 2, 0
-    )
+    a, b, c = np.moveaxis(np.asarray(triangles, dtype=float)[None] - np.asarray(points)[:, None, None, :], 2, 0)
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     numerator = np.sum(a * np.cross(b, c), axis=-1)
-    denominator = (
-        la * lb * lc + np.sum(a * b, axis=-1) * lc + np.sum(b * c, axis=-1) * la + np.sum(c * a, axis=-1) * lb
-    )
+    denominator = la * lb * lc + np.sum(a * b, axis=-1) * lc + np.sum(b * c, axis=-1) * la + np.sum(c * a, axis=-1) * lb
     return np.sum(2.0 * np.arctan2(numerator, denominator), axis=1) / (4.0 * np.pi)

@@ -120,9 +120,7 @@ def cuda_devices() -> int:
     try:
         driver = ctypes.CDLL("libcuda.so.1" if sys.platform != "win32" else "nvcuda.dll")
         count = ctypes.c_int()
-        return (
-            count.value if driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 else 0
-        )
+        return count.value if driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 else 0
     except (OSError, AttributeError):
         return 0
 
@@ -160,8 +158,7 @@ def prepare() -> Path | None:
     if cuda_devices():
         return None
     found = "; ".join(
-        f"{c.path} is "
-        + (f"version {'.'.join(map(str, c.version))}" if c.version else "not loadable or older than 16")
+        f"{c.path} is " + (f"version {'.'.join(map(str, c.version))}" if c.version else "not loadable or older than 16")
         for c in seen
     )
     raise LLVMError(

@@ -105,9 +105,7 @@ def correct_association_weight(scans: Scans, diagnostics: Diagnostics) -> Array:
         for track, existence in sorted(established.items(), key=lambda item: item[1]):
             if existence > ESTABLISHED and scans.label[track] >= 0:
                 owner[int(scans.label[track])] = track
-        expected = np.array(
-            [BS_TRACK if x == 0 else owner.get(int(x), NO_TRACK) for x in labels], dtype=np.int64
-        )
+        expected = np.array([BS_TRACK if x == 0 else owner.get(int(x), NO_TRACK) for x in labels], dtype=np.int64)
         match = (diagnostics.associations[k] == expected).all(axis=1)
         weight[k] = diagnostics.weights[k][match].sum() / diagnostics.weights[k].sum()
         established = {}
@@ -146,18 +144,14 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
     except (FilterError, np.linalg.LinAlgError) as error:
         nothing, no_map = np.full(world.steps, np.nan), np.full((world.steps, 4), np.nan)
         gone = {name: nothing for name in bound}
-        return RunResult(
-            gone, bound, nothing, nothing, no_map, no_map, nothing, np.nan, f"run {run}: {error}"
-        )
+        return RunResult(gone, bound, nothing, nothing, no_map, no_map, nothing, np.nan, f"run {run}: {error}")
     seconds = time.thread_time() - started
     n = min(history.mean.shape[1], states.shape[1])
     error = state_errors(history.mean[:, :n], states[:, :n])
     maps = []
     for kind in (VA, SP):
         truth = world.landmarks(kind)
-        results = [
-            gospa(truth, history.reported(k, kind, study.report), study.cutoff) for k in range(world.steps)
-        ]
+        results = [gospa(truth, history.reported(k, kind, study.report), study.cutoff) for k in range(world.steps)]
         maps.append(np.array([[g.distance, g.localization, g.missed, g.false] for g in results]))
     return RunResult(
         squared=squared_errors(error),

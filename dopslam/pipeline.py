@@ -1,7 +1,8 @@
 """The stages, one function each: trace → synthesize → estimate → slam → bound → evaluate.
 
 Every stage takes and returns records, so that anyone can enter or leave at any of them. Random numbers come from
-``SeedSequence(seed, spawn_key=(component, step))``: results do not depend on the number of workers or on which stages ran
+``SeedSequence(seed, spawn_key=(component, step))``: results do not depend on the number of workers or on which stages
+ran
 in the same process.
 """
 
@@ -133,7 +134,9 @@ def synthesize_snapshot(scenario: Scenario, track: Track, paths: Paths, step: in
     return synthesize(_model(scenario.to_toml()), table, radio.noise_variance(scenario), rng)
 
 
-def synthesize(scenario: Scenario, track: Track, paths: Paths, seed: int, progress: Progress = quiet) -> Iterator[np.ndarray]:
+def synthesize(
+    scenario: Scenario, track: Track, paths: Paths, seed: int, progress: Progress = quiet
+) -> Iterator[np.ndarray]:
     """Snapshots of all steps, one at a time."""
     for step in range(paths.steps):
         yield synthesize_snapshot(scenario, track, paths, step, seed)
@@ -310,9 +313,7 @@ def slam(
     if (density or scenario.filter.density) == "bp":
         from dopslam.slam.bp import adapter
 
-        return adapter.slam(
-            detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed
-        )
+        return adapter.slam(detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed)
     detection = build.detection_model(scenario, detections.threshold)
     history, _ = ek_pmb.run(
         build.scans(scenario, detections),

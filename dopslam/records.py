@@ -146,9 +146,7 @@ class Paths:
     vertices: np.ndarray
 
     def __post_init__(self):
-        _check_columns(
-            self, ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler"), len(self.landmark)
-        )
+        _check_columns(self, ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler"), len(self.landmark))
         _check_offsets("Paths", self.offsets, len(self.landmark))
         _check_offsets("Paths.vertices", self.vertex_offsets, len(self.vertices))
 
@@ -196,9 +194,7 @@ class DetectionSeries:
     search_volume: float
 
     def __post_init__(self):
-        _check_columns(
-            self, ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr"), len(self.delay)
-        )
+        _check_columns(self, ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr"), len(self.delay))
         _check_offsets("DetectionSeries", self.offsets, len(self.delay))
 
     @property

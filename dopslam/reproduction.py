@@ -87,9 +87,7 @@ def motion_studies(runs: int, seed: int, jobs: int) -> dict[str, dict[str, Any]]
     studies = {
         "unknown motion, joint": Study(six),
         "unknown motion, livelier walk, smoother": Study(lively, smoothing=SmootherParameters()),
-        "speed 2 % wrong, believed known": Study(
-            truth, motion=replace(truth.motion, speed=1.02 * truth.motion.speed)
-        ),
+        "speed 2 % wrong, believed known": Study(truth, motion=replace(truth.motion, speed=1.02 * truth.motion.speed)),
         "speed 2 % wrong, in the state": Study(
             truth, motion=six.motion, prior=(six.prior_mean * off, six.prior_covariance)
         ),
@@ -148,17 +146,13 @@ def figure_5(cases: dict[str, dict[str, Any]]) -> Figure:
                 case = cases[f"{density}, {name}"]
                 axes.bar(place + shift, scale * case[rmse], 0.38, color=color)
                 level = scale * case[bound]
-                axes.plot(
-                    [place + shift - 0.19, place + shift + 0.19], [level, level], color="black", linewidth=2
-                )
+                axes.plot([place + shift - 0.19, place + shift + 0.19], [level, level], color="black", linewidth=2)
         axes.set_xticks([0, 1], ["paper's", "ours"])
         axes.set_ylabel(f"RMSE, {label}")
     lines = [Line2D([], [], color=c, linewidth=6) for c in (WITH, WITHOUT)] + [
         Line2D([], [], color="black", linewidth=2)
     ]
-    figure.legend(
-        lines, ["with Doppler", "without", "PCRB"], loc="outside upper center", ncols=3, frameon=False
-    )
+    figure.legend(lines, ["with Doppler", "without", "PCRB"], loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -167,13 +161,9 @@ def figure_table(rows: Sequence[dict[str, Any]]) -> Figure:
     figure = Figure(figsize=(6, 3.8), layout="constrained")
     axes = figure.subplots()
     for name, color in (("Doppler", WITH), ("no Doppler", WITHOUT)):
-        axes.semilogx(
-            [r["intensity_per_m3"] for r in rows], [r[name] for r in rows], "o-", color=color, label=name
-        )
+        axes.semilogx([r["intensity_per_m3"] for r in rows], [r[name] for r in rows], "o-", color=color, label=name)
         axes.axhline(PAPER_WEIGHTS[name], color=color, linestyle=":")
-    axes.set(
-        xlabel="undetected intensity λ [1/m³]", ylabel="weight of the correct association", ylim=(0, 1.02)
-    )
+    axes.set(xlabel="undetected intensity λ [1/m³]", ylabel="weight of the correct association", ylim=(0, 1.02))
     axes.legend(frameon=False)
     return figure
 

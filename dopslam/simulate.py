@@ -86,8 +86,7 @@ class Situation:
             raise FilterError("Situation: kind and position must have one row per landmark, the BS first")
         if self.prior_mean.size != self.motion.dimension:
             raise FilterError(
-                f"Situation: prior_mean has {self.prior_mean.size} entries, "
-                f"the motion model {self.motion.dimension}"
+                f"Situation: prior_mean has {self.prior_mean.size} entries, the motion model {self.motion.dimension}"
             )
 
     def landmarks(self, kind: int) -> Array:
@@ -251,14 +250,10 @@ def draw_scans(
     )
 
 
-def _draw_clutter(
-    situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array
-):
+def _draw_clutter(situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array):
     """False detections uniform over the search volume, with a covariance borrowed from the noise model."""
     low = np.array([state[3], -np.pi, -np.pi / 2, -np.pi, -np.pi / 2, -situation.doppler_limit])
-    high = np.array(
-        [state[3] + situation.clutter_range, np.pi, np.pi / 2, np.pi, np.pi / 2, situation.doppler_limit]
-    )
+    high = np.array([state[3] + situation.clutter_range, np.pi, np.pi / 2, np.pi, np.pi / 2, situation.doppler_limit])
     z = rng.uniform(low, high, (count, 6))
     noise = situation.noise
     if isinstance(noise, FixedNoise):

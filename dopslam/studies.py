@@ -4,11 +4,7 @@ records.
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,22 +126,3 @@ def contribution_table(
         for i, name in enumerate(names)
     ]
     return ["step", "landmark", *columns], rows
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}; give another folder") from error
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def write_json(path: str | Path, content: dict[str, Any]) -> None:
-    """Write JSON whole or not at all; no NaN, so that every reader takes it."""
-    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -3,7 +3,8 @@
 A sweep is a TOML file::
 
     scenario = "ring_road"
-    source = "model"            # detections drawn from the model; or "traced": every seed traced, synthesized and estimated
+    source = "model"            # detections drawn from the model; or "traced": every seed traced, synthesized and
+    estimated
     filter = "joint"            # joint, marginal or (model only) smoother
     runs = 50
     seed = 0
@@ -66,7 +67,8 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one combination: for every figure its value and 95 % interval, and the number of runs that failed or diverged."""
+    """Result of one combination: for every figure its value and 95 % interval, and the number of runs that failed or
+    diverged."""
 
     point: dict[str, Any]
     figures: dict[str, tuple[float, float, float]]

@@ -11,15 +11,13 @@ import time
 from pathlib import Path
 
 from dopslam.cli.common import worker_count
+from dopslam.report.folder import write_json
 from dopslam.reproduction import PAPER_WEIGHTS, reproduce
-from dopslam.studies import write_json
 
 
 def main() -> None:
     """Write the figures and results.json, print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, help="worker processes, default one per core")
@@ -48,10 +46,7 @@ def main() -> None:
         f"{PAPER_WEIGHTS['no Doppler']} without, {PAPER_WEIGHTS['Doppler']} with Doppler, λ not stated"
     )
     for row in result["associations"]:
-        print(
-            f"  λ = {row['intensity_per_m3']:8.2g} /m³   "
-            f"without {row['no Doppler']:.4f}   with {row['Doppler']:.4f}"
-        )
+        print(f"  λ = {row['intensity_per_m3']:8.2g} /m³   without {row['no Doppler']:.4f}   with {row['Doppler']:.4f}")
     say(f"written: {options.out}")
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The figures of the README's traced study: several seeds of a traced scene, all filter variants, 95 % intervals.
 
-    python scripts/traced_study.py scenes/ring_road --seeds 10 --out results/ring_road
+python scripts/traced_study.py scenes/ring_road --seeds 10 --out results/ring_road
 """
 
 from __future__ import annotations

@@ -30,7 +30,12 @@ def top_levels(path: Path) -> set[str]:
 def test_the_import_contracts_hold():
     program = Path(sys.executable).with_name("lint-imports")
     done = subprocess.run(
-        [program, "--no-cache"], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+        [program, "--no-cache"],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -58,7 +63,20 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {"errors", "records", "compiled", "llvm", "geometry", "config", "dataset_config", "polygon", "schema", "metrics", "radio", "dataset"},
+    {
+        "errors",
+        "records",
+        "compiled",
+        "llvm",
+        "geometry",
+        "config",
+        "dataset_config",
+        "polygon",
+        "schema",
+        "metrics",
+        "radio",
+        "dataset",
+    },
     {"models", "raytracing"},
     {"slam", "simulate", "bounds"},
     {"build", "evaluation", "matching", "report"},

@@ -13,7 +13,10 @@ def test_shipped_scenarios_survive_a_round_trip(name):
 
 
 def test_the_ring_road_ships_under_its_name_and_its_folder():
-    assert find_scenario("ring_road") == find_scenario("scenes/ring_road").resolve() or find_scenario("ring_road").is_file()
+    assert (
+        find_scenario("ring_road") == find_scenario("scenes/ring_road").resolve()
+        or find_scenario("ring_road").is_file()
+    )
     assert "ring_road" in shipped_scenes()
 
 

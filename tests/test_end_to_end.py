@@ -1,4 +1,5 @@
-"""From the tracer to the summary on real traced paths: composition of the stages, reproducibility, accuracy, bad input."""
+"""From the tracer to the summary on real traced paths: composition of the stages, reproducibility, accuracy, bad
+input."""
 
 import json
 

@@ -90,9 +90,7 @@ def test_vertices_length_and_directions_belong_together(depth):
     source = np.array([3.0, -7.0, 30.0])
     path = reflected_paths(source, receivers, normals, offsets)
     np.testing.assert_allclose(np.sum(path.vertices * normals, axis=-1), offsets, atol=1e-9)
-    corners = np.concatenate(
-        [np.broadcast_to(source, (200, 1, 3)), path.vertices, receivers[:, None]], axis=1
-    )
+    corners = np.concatenate([np.broadcast_to(source, (200, 1, 3)), path.vertices, receivers[:, None]], axis=1)
     legs = np.diff(corners, axis=1)
     # Only sequences that light could follow: the unfolded line meets the planes in this order.
     forward = np.all(np.sum(legs[:, 1:] * legs[:, 1:], axis=-1) > 0, axis=1)
@@ -203,9 +201,7 @@ def test_winding_number_of_a_cube():
 def test_distance_to_triangles():
     points = np.array([[0.2, 0.2, 0.7], [-3.0, 0.5, 0], [2.0, 0, 0], [0.2, 0.3, 0]])
     triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
-    np.testing.assert_allclose(
-        distance_to_triangles(points, triangle)[:, 0], [0.7, 3.0, 1.0, 0.0], atol=1e-15
-    )
+    np.testing.assert_allclose(distance_to_triangles(points, triangle)[:, 0], [0.7, 3.0, 1.0, 0.0], atol=1e-15)
     rng = np.random.default_rng(10)
     triangles, points = rng.normal(size=(5, 3, 3)), rng.normal(size=(40, 3)) * 2
     u, v = rng.uniform(size=(2, 200_000))

@@ -28,9 +28,7 @@ def machine(tmp_path, monkeypatch):
 
 
 def test_newest_that_works_is_taken(machine):
-    folder = machine(
-        {"libLLVM-14.so.1": (14, 0, 6), "libLLVM.so.19.1": (19, 1, 7), "libLLVM-17.so": (17, 0, 1)}
-    )
+    folder = machine({"libLLVM-14.so.1": (14, 0, 6), "libLLVM.so.19.1": (19, 1, 7), "libLLVM-17.so": (17, 0, 1)})
     assert llvm.prepare() == folder / "libLLVM.so.19.1"
     assert os.environ[llvm.VARIABLE] == str(folder / "libLLVM.so.19.1")
 
@@ -88,14 +86,10 @@ def test_symbolic_links_are_one_candidate(tmp_path, monkeypatch):
 
 def test_looking_does_not_load_anything_here():
     """A wrong libLLVM loaded into this process could be taken by Dr.Jit, or abort it."""
-    code = (
-        "from dopslam import llvm; llvm.candidates();assert 'libLLVM' not in open('/proc/self/maps').read()"
-    )
+    code = "from dopslam import llvm; llvm.candidates();assert 'libLLVM' not in open('/proc/self/maps').read()"
     if not Path("/proc/self/maps").exists():
         pytest.skip("needs /proc")
-    subprocess.run(
-        [sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path))
-    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)))
 
 
 def test_an_interpreter_that_cannot_be_started_asks_itself(tmp_path, monkeypatch):

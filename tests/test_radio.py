@@ -65,7 +65,11 @@ def test_the_link_budget_is_the_one_stated_in_the_scenario():
     theta, phi = zenith_azimuth(direction / np.linalg.norm(direction, axis=1, keepdims=True))
     model, amplitude = radio.signal_model(scenario), 1e-6 * radio.pilot_amplitude(scenario)
     rho = [
-        snr(model, PathTable([1e-6], [[0.1, 0.2]], [[az, np.pi / 2 - el]], [3.0], [amplitude]), radio.noise_variance(scenario))
+        snr(
+            model,
+            PathTable([1e-6], [[0.1, 0.2]], [[az, np.pi / 2 - el]], [3.0], [amplitude]),
+            radio.noise_variance(scenario),
+        )
         for el, az in zip(theta, phi, strict=True)
     ]
     assert 10 * np.log10(np.mean(rho)) == pytest.approx(-2 - 120 + 149.3, abs=0.3)

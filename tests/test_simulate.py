@@ -66,10 +66,7 @@ def test_detections_have_the_stated_statistics():
         )
         errors.append(residual(scans.z[real], exact))
         clutter += (~real).sum()
-        near = (
-            np.linalg.norm(world.position - np.column_stack([states[:, :2], np.zeros(40)])[:, None], axis=-1)
-            < 50
-        )
+        near = np.linalg.norm(world.position - np.column_stack([states[:, :2], np.zeros(40)])[:, None], axis=-1) < 50
         visible += (near | (world.kind != SP)).sum()
         detections += real.sum()
         assert near[step[real], scans.label[real]][world.kind[scans.label[real]] == SP].all()
@@ -80,9 +77,7 @@ def test_detections_have_the_stated_statistics():
 
 def test_noise_follows_the_link_budget():
     base = section_v()
-    noise = SnrNoise(
-        np.array([0.6, 0.3, 0.4, 0.1, 0.3, 0.9]), np.array([86.0] + 4 * [77.5] + 4 * [94.5]), 14.0
-    )
+    noise = SnrNoise(np.array([0.6, 0.3, 0.4, 0.1, 0.3, 0.9]), np.array([86.0] + 4 * [77.5] + 4 * [94.5]), 14.0)
     _, scans = simulate(replace(base, noise=noise), 0, 0)
     np.testing.assert_allclose(scans.covariance[:, 0, 0], 0.36 / scans.snr, rtol=1e-9)
     real = scans.label >= 0

@@ -72,7 +72,13 @@ def test_the_command_line_runs_a_model_scenario_and_links_the_latest(call, tmp_p
     monkeypatch.chdir(tmp_path)
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=4", "--seed", 2) == 0
     latest = tmp_path / "runs" / "latest"
-    assert {p.name for p in latest.iterdir()} >= {"dataset.h5", "summary.json", "table.txt", "scenario.toml", "plan.png"}
+    assert {p.name for p in latest.iterdir()} >= {
+        "dataset.h5",
+        "summary.json",
+        "table.txt",
+        "scenario.toml",
+        "plan.png",
+    }
     assert json.loads((latest / "summary.json").read_text())["seed"] == 2
     assert "joint" in capsys.readouterr().out
 

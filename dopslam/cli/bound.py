@@ -62,7 +62,8 @@ def bound(
         return
     from dopslam import build
     from dopslam.config import load
-    from dopslam.studies import bound_table, contribution_table, nominal_bound, write_text
+    from dopslam.report.folder import write_text
+    from dopslam.studies import bound_table, contribution_table, nominal_bound
 
     reach = _visibility(visibility)
     scenario = load(scene, overrides(settings))

@@ -22,7 +22,8 @@ def dataset(
 ) -> None:
     """Make a large dataset: a folder of shards with tracks, landmarks and paths of many positions, and a manifest.
 
-    Tracks follow the scenario's [dataset] section: draws of its motion model (default), line, circle, drive (random drives inside
+    Tracks follow the scenario's [dataset] section: draws of its motion model (default), line, circle, drive (random
+    drives inside
     a polygon) or file. The result is the same for any number of processes, workers and interruptions.
 
     Parameters

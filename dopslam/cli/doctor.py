@@ -16,8 +16,7 @@ PACKAGES = (
 )  # fmt: skip
 OPTIONAL = ("karellen-llvm-core",)
 _KERNEL = (
-    "import drjit, {0} as backend; x = backend.Float([1.0, 2.0, 3.0]);"
-    "assert drjit.sum(x * x)[0] == 14.0; print('ok')"
+    "import drjit, {0} as backend; x = backend.Float([1.0, 2.0, 3.0]);assert drjit.sum(x * x)[0] == 14.0; print('ok')"
 )
 
 

@@ -21,7 +21,8 @@ def export(
     source
         Dataset file, or folder made by 'dopslam dataset'.
     to
-        mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv: paths.
+        mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv:
+        paths.
     out
         Folder to make.
     """

@@ -36,7 +36,9 @@ def _folder(folder: Path) -> None:
     manifest = read_manifest(folder)
     plan, console = manifest.plan, Console(highlight=False, soft_wrap=True)
     kinds = ["track", "steps", "landmarks", "paths", *["signal"] * plan.signal, *["detections"] * plan.detections]
-    console.print(f"{plan.name}, seed {plan.seed}: {plan.positions} positions in {plan.shards} shards of {', '.join(kinds)}")
+    console.print(
+        f"{plan.name}, seed {plan.seed}: {plan.positions} positions in {plan.shards} shards of {', '.join(kinds)}"
+    )
     if not manifest.complete:
         console.print(f"not complete; go on with 'dopslam dataset … --out {folder} --resume'")
         return

@@ -54,7 +54,8 @@ def montecarlo(
 
     from dopslam.config import load
     from dopslam.montecarlo import run_study, summarize, warm_up
-    from dopslam.studies import study, write_json
+    from dopslam.report.folder import write_json
+    from dopslam.studies import study
 
     doppler, std = doppler_choice(doppler_std)
     plan = study(load(scene, overrides(settings)), filter_name, prior, doppler, std)

@@ -8,7 +8,8 @@ from dopslam.cli.common import worker_count
 
 
 def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None = None) -> None:
-    """Repeat a Monte Carlo study for every combination of values of scenario keys: one table, one figure with error bars.
+    """Repeat a Monte Carlo study for every combination of values of scenario keys: one table, one figure with error
+    bars.
 
     Parameters
     ----------
@@ -28,8 +29,7 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     from dopslam.cli.bars import timed_bars
     from dopslam.cluster import workers
     from dopslam.errors import DatasetError
-    from dopslam.report.folder import write_json
-    from dopslam.studies import write_text
+    from dopslam.report.folder import write_json, write_text
 
     plan = library.read_sweep(file)
     if out.exists():

@@ -129,7 +129,8 @@ def _enter(folder: Path, plan: Plan, resume: bool) -> None:
 
 
 def _united(parts: list[Landmarks]) -> tuple[dict[str, Any], ...]:
-    """Every landmark of the shards once: BS, virtual anchors by order and name, scatter points in the scenario's order."""
+    """Every landmark of the shards once: BS, virtual anchors by order and name, scatter points in the scenario's
+    order."""
     found: dict[str, dict[str, Any]] = {}
     rank: dict[str, tuple] = {}
     for marks in parts:

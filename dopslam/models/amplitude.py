@@ -27,9 +27,7 @@ from scipy.stats import ncx2
 from dopslam.errors import FilterError
 from dopslam.records import SPEED_OF_LIGHT
 
-LARGEST_DETECTION_PROBABILITY = (
-    0.99  # 1 − p_d must not underflow: an exact 0 makes one missed detection impossible
-)
+LARGEST_DETECTION_PROBABILITY = 0.99  # 1 − p_d must not underflow: an exact 0 makes one missed detection impossible
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +50,7 @@ class AmplitudeModel:
     def __post_init__(self):
         if not self.threshold > 0 or not self.samples > 0:
             raise FilterError(
-                "AmplitudeModel: threshold and samples must be positive, got "
-                f"{self.threshold} and {self.samples}"
+                f"AmplitudeModel: threshold and samples must be positive, got {self.threshold} and {self.samples}"
             )
         if not 0 <= self.tail_weight < 1 or not self.tail_end > self.threshold:
             raise FilterError(
@@ -72,9 +69,7 @@ class AmplitudeModel:
 
     def log_likelihood(self, z, u):
         """log f(z|u) of eq. (7): truncated Rice, −inf below the threshold."""
-        return np.where(
-            z > self.threshold, self.log_rice(z, u) - np.log(self.detection_probability(u)), -np.inf
-        )
+        return np.where(z > self.threshold, self.log_rice(z, u) - np.log(self.detection_probability(u)), -np.inf)
 
     def detection_probability(self, u):
         """p_d(u) = Q₁(u/σ, γ/σ) by the non-central χ² survival function."""
@@ -90,9 +85,7 @@ class AmplitudeModel:
         """Log density of a false alarm's amplitude for z > γ; −inf below."""
         rayleigh = np.log(2 * z) - np.square(z) + self.threshold**2
         if self.tail_weight > 0:
-            tail = np.where(
-                z < self.tail_end, np.log(self.tail_weight / (self.tail_end - self.threshold)), -np.inf
-            )
+            tail = np.where(z < self.tail_end, np.log(self.tail_weight / (self.tail_end - self.threshold)), -np.inf)
             rayleigh = np.logaddexp(np.log1p(-self.tail_weight) + rayleigh, tail)
         return np.where(z > self.threshold, rayleigh, -np.inf)
 
@@ -100,9 +93,7 @@ class AmplitudeModel:
         """Noisy amplitudes |u + noise| of paths with amplitude ``u``, not yet thresholded."""
         u = np.asarray(u, float)
         deviation = np.sqrt(self.variance(u))
-        return np.hypot(
-            u + deviation * rng.standard_normal(u.shape), deviation * rng.standard_normal(u.shape)
-        )
+        return np.hypot(u + deviation * rng.standard_normal(u.shape), deviation * rng.standard_normal(u.shape))
 
     def sample_false_alarm(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """Amplitudes of ``size`` false alarms: truncated Rayleigh by inversion, with the tail if any."""

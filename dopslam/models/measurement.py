@@ -94,9 +94,7 @@ def _broadcast(state: Array, landmark: Array, kind: ArrayLike, bs: Array, speed:
 
 def _departure(ue: Array, landmark: Array, kind: Array, bs: Array) -> Array:
     is_va = (kind == VA)[..., None]
-    anchor = np.where(
-        is_va, landmark, bs + 1.0
-    )  # any point that keeps `incidence` finite where it is not used
+    anchor = np.where(is_va, landmark, bs + 1.0)  # any point that keeps `incidence` finite where it is not used
     point, _, _ = incidence(ue, anchor, bs)
     target = np.where((kind == BS)[..., None], ue, np.where(is_va, point, landmark))
     return target - bs

@@ -87,9 +87,7 @@ def _sinc_slope(x: Array) -> Array:
     """d/dx of sin(x)/x, with its series near zero where the quotient loses all digits."""
     small = np.abs(x) < 1e-2
     safe = np.where(small, 1.0, x)
-    return np.where(
-        small, x * (-1 / 3 + x * x * (1 / 30 - x * x / 840)), (np.cos(safe) - np.sin(safe) / safe) / safe
-    )
+    return np.where(small, x * (-1 / 3 + x * x * (1 / 30 - x * x / 840)), (np.cos(safe) - np.sin(safe) / safe) / safe)
 
 
 def transition_jacobian(state: Array, motion: CoordinatedTurn) -> Array:

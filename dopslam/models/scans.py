@@ -56,13 +56,10 @@ class Scans:
         n = len(self.z)
         if self.z.shape != (n, 6) or self.covariance.shape != (n, 6, 6):
             raise FilterError(
-                f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; "
-                "expected (N, 6), (N, 6, 6)"
+                f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; expected (N, 6), (N, 6, 6)"
             )
         if self.offsets[0] != 0 or self.offsets[-1] != n or np.any(np.diff(self.offsets) < 0):
-            raise FilterError(
-                f"Scans.offsets must rise from 0 to {n}, got {self.offsets[0]} … {self.offsets[-1]}"
-            )
+            raise FilterError(f"Scans.offsets must rise from 0 to {n}, got {self.offsets[0]} … {self.offsets[-1]}")
         if not (np.isfinite(self.z).all() and np.isfinite(self.covariance).all()):
             raise FilterError("Scans: z or covariance holds non-finite values; drop those measurements")
         if not (self.clutter_count > 0 and self.search_volume > 0 and self.doppler_span > 0):

@@ -60,8 +60,7 @@ def landmarks_of(
     """
     ordered = sorted(sequences - {()}, key=lambda sequence: (len(sequence), naming.name(sequence)))
     anchors = [
-        mirror_images(bs_position, surfaces.plane_normal[list(s)], surfaces.plane_offset[list(s)])[-1]
-        for s in ordered
+        mirror_images(bs_position, surfaces.plane_normal[list(s)], surfaces.plane_offset[list(s)])[-1] for s in ordered
     ]
     names = ["BS", *(naming.name(sequence) for sequence in ordered), *(f"SP {name}" for name in point_names)]
     kinds = [Kind.BS] + [Kind.VA] * len(ordered) + [Kind.SP] * len(points)

@@ -52,15 +52,8 @@ class LoadedScene:
 def builtin_scenes() -> dict[str, Path]:
     """Scenes that Sionna ships, by name; does not import it."""
     spec = importlib.util.find_spec("sionna")
-    roots = [
-        Path(root) / "rt" / "scenes" for root in (spec.submodule_search_locations if spec else None) or ()
-    ]
-    files = {
-        path.name: path / f"{path.name}.xml"
-        for root in roots
-        if root.is_dir()
-        for path in sorted(root.iterdir())
-    }
+    roots = [Path(root) / "rt" / "scenes" for root in (spec.submodule_search_locations if spec else None) or ()]
+    files = {path.name: path / f"{path.name}.xml" for root in roots if root.is_dir() for path in sorted(root.iterdir())}
     return {name: path for name, path in files.items() if path.is_file()}
 
 
@@ -78,11 +71,7 @@ def scene_file(path: str | Path) -> Path:
     if str(path) in shipped:
         return shipped[str(path)]
     near = difflib.get_close_matches(str(path), shipped, n=1)
-    hint = (
-        f"did you mean {near[0]!r}?"
-        if near
-        else f"give an existing file or one of {', '.join(sorted(shipped))}"
-    )
+    hint = f"did you mean {near[0]!r}?" if near else f"give an existing file or one of {', '.join(sorted(shipped))}"
     raise SceneError(f"scene {str(path)!r} is neither a file nor a scene that Sionna ships; {hint}")
 
 
@@ -114,9 +103,7 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         # Merging shapes, the default, would destroy the names of the walls.
         scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
         for material in scene.radio_materials.values():
-            if not hasattr(
-                material, "frequency_update"
-            ):  # absorbers lack it in Sionna 2.2, and the next line calls it
+            if not hasattr(material, "frequency_update"):  # absorbers lack it in Sionna 2.2, and the next line calls it
                 material.frequency_update = lambda: None
         scene.frequency = carrier_frequency
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
@@ -174,11 +161,7 @@ def _map_materials(root: ET.Element, mapping: Mapping[str, str], file: Path) -> 
             near = difflib.get_close_matches(new, [*table, ABSORBER], n=1)
             raise SceneError(
                 f"[scene.materials] {old} = {new!r}: no such ITU material"
-                + (
-                    f", did you mean {near[0]!r}?"
-                    if near
-                    else f"; known are {', '.join(table)} and {ABSORBER}"
-                )
+                + (f", did you mean {near[0]!r}?" if near else f"; known are {', '.join(table)} and {ABSORBER}")
             )
         if old not in known:
             near = difflib.get_close_matches(old, known, n=1)
@@ -222,9 +205,7 @@ def _check_materials(root: ET.Element, carrier_frequency: float, file: Path) -> 
         ]
         if not users:
             continue
-        where = (
-            f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
-        )
+        where = f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
         if itu not in table:
             near = difflib.get_close_matches(itu, table, n=1)
             raise SceneError(

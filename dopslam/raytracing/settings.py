@@ -87,18 +87,12 @@ class ScatterPoints:
         positions = np.zeros((0, 3)) if self.positions is None else np.asarray(self.positions, dtype=float)
         object.__setattr__(self, "names", tuple(map(str, self.names)))
         object.__setattr__(self, "positions", positions.reshape(-1, 3))
-        object.__setattr__(
-            self, "rcs", np.ones(count) if self.rcs is None else np.asarray(self.rcs, dtype=float)
-        )
+        object.__setattr__(self, "rcs", np.ones(count) if self.rcs is None else np.asarray(self.rcs, dtype=float))
         phases = np.zeros(count) if self.phases is None else np.asarray(self.phases, dtype=float)
         object.__setattr__(self, "phases", phases)
         if not len(self.positions) == len(self.rcs) == len(self.phases) == count:
-            raise SceneError(
-                f"scatter points: {count} names do not match the positions, cross-sections or phases"
-            )
+            raise SceneError(f"scatter points: {count} names do not match the positions, cross-sections or phases")
         if len(set(self.names)) < count:
             raise SceneError("scatter points: two have the same name; give each its own")
         if np.any(self.rcs < 0) or not np.all(np.isfinite(self.rcs)):
-            raise SceneError(
-                f"scatter points: rcs is {self.rcs.min():g} m²; give non-negative finite numbers"
-            )
+            raise SceneError(f"scatter points: rcs is {self.rcs.min():g} m²; give non-negative finite numbers")

@@ -61,9 +61,7 @@ def build_surfaces(meshes: dict[str, np.ndarray]) -> Surfaces:
     """Surfaces of named triangle meshes, each (T, 3, 3) m."""
     objects = tuple(meshes)
     counts = np.array([len(mesh) for mesh in meshes.values()], dtype=np.intp)
-    triangles = np.concatenate(
-        [np.zeros((0, 3, 3)), *(np.asarray(mesh, dtype=float) for mesh in meshes.values())]
-    )
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh, dtype=float) for mesh in meshes.values())])
     owner = np.repeat(np.arange(len(objects)), counts)
     normals, offsets, areas = triangle_planes(triangles)
     plane, plane_normal, plane_offset = _cluster(normals, offsets, areas, triangles)
@@ -114,9 +112,7 @@ def _plane_names(objects, owner, triangles, areas, plane, plane_normal) -> tuple
     face = face.ravel()
     area = np.bincount(face, areas[solid], len(pairs))
     centroid = triangles[solid].mean(axis=1) * areas[solid, None]
-    center = (
-        np.stack([np.bincount(face, centroid[:, i], len(pairs)) for i in range(3)], axis=1) / area[:, None]
-    )
+    center = np.stack([np.bincount(face, centroid[:, i], len(pairs)) for i in range(3)], axis=1) / area[:, None]
     lower, upper = _bounds(len(objects), owner, triangles)
     outward = np.sum((center - 0.5 * (lower + upper)[pairs[:, 0]]) * plane_normal[pairs[:, 1]], axis=1)
     faces_of = np.bincount(pairs[:, 0], minlength=len(objects))
@@ -164,9 +160,7 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     names = list(points)
     blocks = [np.atleast_2d(np.asarray(value, dtype=float)) for value in points.values()]
     stacked = np.concatenate(blocks)
-    label = [
-        f"{n} {i}" if len(b) > 1 else n for n, b in zip(names, blocks, strict=True) for i in range(len(b))
-    ]
+    label = [f"{n} {i}" if len(b) > 1 else n for n, b in zip(names, blocks, strict=True) for i in range(len(b))]
     for name, point in zip(label, stacked, strict=True):
         if not np.all(np.isfinite(point)):
             raise SceneError(f"{name} has the position {point.tolist()}; give finite numbers in meters")
@@ -242,9 +236,7 @@ def _section(mesh: np.ndarray, height: float) -> list[np.ndarray]:
             neighbors.setdefault(ends[1], set()).add(ends[0])
     lines = []
     while neighbors:
-        start = min(
-            neighbors, key=lambda point: (len(neighbors[point]) == 2, point)
-        )  # begin at a loose end if any
+        start = min(neighbors, key=lambda point: (len(neighbors[point]) == 2, point))  # begin at a loose end if any
         line = [start]
         while neighbors.get(line[-1]):
             here = line[-1]

@@ -27,9 +27,7 @@ def join(chunks: Sequence[Traced]) -> Traced:
     merged: dict[str, tuple] = {}
     for chunk in chunks:
         marks = chunk.landmarks
-        for row in zip(
-            marks.name.tolist(), marks.kind.tolist(), marks.position, marks.order.tolist(), strict=True
-        ):
+        for row in zip(marks.name.tolist(), marks.kind.tolist(), marks.position, marks.order.tolist(), strict=True):
             merged.setdefault(row[0], row)
     points = [row[0] for row in merged.values() if row[1] == Kind.SP]
     rows = sorted(

@@ -116,9 +116,7 @@ class Tracer:
         """One millimeter-sized target below everything, so that it hides nothing, carries all the points."""
         _, mi = backend()
         rcs = importlib.import_module("sionna.rt.rcs")
-        corners = np.concatenate(
-            [self.surfaces.triangles.reshape(-1, 3), self.points.positions, [self.bs_position]]
-        )
+        corners = np.concatenate([self.surfaces.triangles.reshape(-1, 3), self.points.positions, [self.bs_position]])
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         home = np.array([middle[0], middle[1], corners[:, 2].min() - 10.0]).round()
         model = rcs.ScatteringModel(
@@ -128,9 +126,7 @@ class Tracer:
         )
         size = {"length": 1e-3, "width": 1e-3, "height": 1e-3}
         self.scene.add(
-            rcs.SensingTarget(
-                name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size
-            )
+            rcs.SensingTarget(name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size)
         )
         self._radar = rcs.RCSSolver(deterministic=True)
 
@@ -149,9 +145,7 @@ class Tracer:
         receivers = np.asarray(receivers, dtype=float).reshape(-1, 3)
         velocities = np.zeros_like(receivers) if velocities is None else np.asarray(velocities, dtype=float)
         if velocities.shape != receivers.shape:
-            raise SceneError(
-                f"{len(receivers)} receivers but velocities of shape {velocities.shape}; give one each"
-            )
+            raise SceneError(f"{len(receivers)} receivers but velocities of shape {velocities.shape}; give one each")
         count = len(receivers)
         if not count:
             raise SceneError("no receiver positions to trace; give at least one")
@@ -173,9 +167,7 @@ class Tracer:
         rest = (np.concatenate(column) for column in zip(*(f[:1] + f[2:] for f in found), strict=True))
         receiver, point, transfer, length = rest
         keep = _first_of_each(np.column_stack([receiver, point, planes])) & (receiver < len(receivers))
-        receiver, planes, point, transfer, length = (
-            c[keep] for c in (receiver, planes, point, transfer, length)
-        )
+        receiver, planes, point, transfer, length = (c[keep] for c in (receiver, planes, point, transfer, length))
         geometry = self._geometry(receivers[receiver], planes, point)
         self._compare(geometry.length, length)
         return self._records(receiver, planes, point, transfer, geometry, velocities)
@@ -277,9 +269,7 @@ class Tracer:
         )
         order = np.lexsort((geometry.length, landmark, receiver))
         landmark, receiver, transfer = landmark[order], receiver[order], transfer[order]
-        length, departure, arrival = (
-            c[order] for c in (geometry.length, geometry.departure, geometry.arrival)
-        )
+        length, departure, arrival = (c[order] for c in (geometry.length, geometry.departure, geometry.arrival))
         vertices = geometry.vertices[order]
         real = np.isfinite(vertices[..., 0])
         theta_t, phi_t = zenith_azimuth(departure)

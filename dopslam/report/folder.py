@@ -69,12 +69,29 @@ def _link_latest(root: Path, final: Path) -> None:
     link.unlink(missing_ok=True)
 
 
-def write_json(path: Path, content: dict) -> None:
-    """Write JSON that any reader accepts (no NaN), synced before it takes its name."""
-    part = path.with_name(f".{path.name}.part")
-    with open(part, "w", encoding="utf-8") as file:
-        json.dump(content, file, indent=2, allow_nan=False)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole or not at all; makes its folder if that is missing.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be written.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(part, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be written ({error.strerror}); name another place") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_json(path: str | Path, content: dict) -> None:
+    """Write JSON whole or not at all; no NaN, so that every reader takes it."""
+    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

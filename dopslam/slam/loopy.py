@@ -78,9 +78,7 @@ def loopy_association(
         )
     for name, value in (("log_missed", log_missed), ("log_detected", log_detected), ("log_new", log_new)):
         if np.isnan(value).any() or np.isposinf(value).any():
-            raise FilterError(
-                f"loopy_association: {name} holds NaN or +inf; check the likelihoods handed over"
-            )
+            raise FilterError(f"loopy_association: {name} holds NaN or +inf; check the likelihoods handed over")
     nu, zeta, iterations, converged = _iterate(log_missed, log_detected, log_new, tolerance, max_iterations)
     joint = np.concatenate([log_missed[:, None], log_detected + nu], axis=1)
     joint = np.exp(joint - joint.max(axis=1, keepdims=True))
@@ -149,9 +147,7 @@ def exact_association(log_missed: np.ndarray, log_detected: np.ndarray, log_new:
     log_missed, log_detected, log_new = (np.asarray(a, float) for a in (log_missed, log_detected, log_new))
     features, measurements = log_detected.shape
     if measurements > 16:
-        raise FilterError(
-            f"exact_association: {measurements} measurements need 2^{measurements} subsets; at most 16"
-        )
+        raise FilterError(f"exact_association: {measurements} measurements need 2^{measurements} subsets; at most 16")
     # Divide measurement m by ξ_m and row k by its largest entry: neither changes the marginals.
     log_ratio = log_detected - log_new
     top = np.maximum(log_missed, log_ratio.max(axis=1, initial=-np.inf))

@@ -92,9 +92,7 @@ def step(mixture: list[Hypothesis], scan: Scan, model: Model, cap: int) -> tuple
     result, rows = [], []
     for w, (_, h, a) in zip(log_weight, candidates, strict=True):
         prior, local, log_term, log_new, position, _, chosen, _ = parts[h]
-        posterior, nis, dof, named = update_single(
-            prior, local, scan, chosen, a, log_term, log_new, position, model
-        )
+        posterior, nis, dof, named = update_single(prior, local, scan, chosen, a, log_term, log_new, position, model)
         result.append(Hypothesis(float(w), posterior))
         rows.append((named[1][0], named[2], nis, dof))
     info = Info(np.exp(log_weight), np.array([r[0] for r in rows]), rows[0][1], rows[0][2], rows[0][3])

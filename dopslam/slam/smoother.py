@@ -99,9 +99,7 @@ class _Window:
         if not valid:
             raise FilterError("smoother: information matrix is singular; use a longer lag or a tighter prior")
 
-    def agree(
-        self, position: Array, kind: NDArray[np.int64], track: NDArray[np.int64], confirmed: Array
-    ) -> None:
+    def agree(self, position: Array, kind: NDArray[np.int64], track: NDArray[np.int64], confirmed: Array) -> None:
         """Follow the filter: forget tracks it dropped or retyped, take up those it has confirmed."""
         alive = dict(zip(track.tolist(), kind.tolist(), strict=True))
         gone = [i for i, t in enumerate(self.tracks) if alive.get(t) != self.kinds[i]]
@@ -122,9 +120,7 @@ class _Window:
     def active(self, z: Array, whiteners: Array, only: int | None = None):
         """Factors whose landmark is a variable (or the BS): window index, landmark index, z, whitener."""
         slot = {t: i for i, t in enumerate(self.tracks)} | {BS_TRACK: -1}
-        chosen = [
-            (k, slot[t], row) for k, t, row in self.factors if t in slot and (only is None or k == only)
-        ]
+        chosen = [(k, slot[t], row) for k, t, row in self.factors if t in slot and (only is None or k == only)]
         rows = [row for _, _, row in chosen]
         when = np.array([k - self.first for k, _, _ in chosen], dtype=np.int64)
         which = np.array([h for _, h, _ in chosen], dtype=np.int64)
@@ -199,9 +195,7 @@ def run(
         named = info.track[0].copy()
         own = scans.offsets[k] + np.arange(len(named))
         named[named == -2] = np.where(np.isin(own, track), own, -2)[named == -2]
-        window.factors += [
-            (k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >= BS_TRACK
-        ]
+        window.factors += [(k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >= BS_TRACK]
         window.extend()
         likely = existence * np.where(kind == 1, va, 1.0 - va)
         window.agree(position, kind, track, likely > smoothing.confirmed)

@@ -1,4 +1,5 @@
-"""Foreign detections: conventions undone to the last digit, subsets that a filter can run on, one error for what is wrong."""
+"""Foreign detections: conventions undone to the last digit, subsets that a filter can run on, one error for what is
+wrong."""
 
 import csv
 

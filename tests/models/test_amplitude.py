@@ -27,9 +27,7 @@ def test_truncated_rice_integrates_to_one(u):
 def test_rice_is_scipys():
     z, u = np.meshgrid(np.linspace(1.0, 26, 30), [0.1, 3.0, 12.0])
     scale = np.sqrt(MODEL.variance(u))
-    np.testing.assert_allclose(
-        MODEL.log_rice(z, u), stats.rice.logpdf(z, u / scale, scale=scale), rtol=1e-9, atol=1e-9
-    )
+    np.testing.assert_allclose(MODEL.log_rice(z, u), stats.rice.logpdf(z, u / scale, scale=scale), rtol=1e-9, atol=1e-9)
 
 
 def test_detection_probability_counts_samples():
@@ -48,9 +46,7 @@ def test_missed_table():
 @pytest.mark.parametrize("tail", [0.0, 0.1])
 def test_false_alarm_density_and_samples(tail):
     model = AmplitudeModel(MODEL.threshold, 1024.0, tail_weight=tail)
-    total, _ = integrate.quad(
-        lambda z: np.exp(model.log_false_alarm(z)), model.threshold, 60, points=[4, 8], limit=200
-    )
+    total, _ = integrate.quad(lambda z: np.exp(model.log_false_alarm(z)), model.threshold, 60, points=[4, 8], limit=200)
     assert total == pytest.approx(1, rel=1e-6)
     samples = model.sample_false_alarm(np.random.default_rng(1), 100_000)
     assert samples.min() > model.threshold
@@ -60,9 +56,7 @@ def test_false_alarm_density_and_samples(tail):
 
 def test_noise_only_rice_is_the_false_alarm_rayleigh():
     z = np.linspace(3, 6, 7)
-    np.testing.assert_allclose(
-        MODEL.log_rice(z, 0.0) + MODEL.threshold**2, MODEL.log_false_alarm(z), rtol=1e-12
-    )
+    np.testing.assert_allclose(MODEL.log_rice(z, 0.0) + MODEL.threshold**2, MODEL.log_false_alarm(z), rtol=1e-12)
 
 
 def test_fisher_deviations_of_the_pedestrian_radio():

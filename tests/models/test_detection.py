@@ -25,9 +25,7 @@ def test_probability_from_snr_against_sampling():
     mean = np.zeros(8)
     mean[0] = np.sqrt(2 * snr)
     statistic = ((rng.normal(size=(200_000, 8)) + mean) ** 2).sum(1)
-    assert probability_from_snr(snr, threshold) == pytest.approx(
-        (statistic > 2 * threshold).mean(), abs=0.005
-    )
+    assert probability_from_snr(snr, threshold) == pytest.approx((statistic > 2 * threshold).mean(), abs=0.005)
 
 
 def test_table_is_monotonic_capped_and_looked_up():

@@ -11,9 +11,7 @@ SPEED = 22.22
 
 
 def draw(rng, n, size=4):
-    state = np.column_stack(
-        [rng.uniform(-90, 90, (n, 2)), rng.uniform(-np.pi, np.pi, n), rng.uniform(250, 350, n)]
-    )
+    state = np.column_stack([rng.uniform(-90, 90, (n, 2)), rng.uniform(-np.pi, np.pi, n), rng.uniform(250, 350, n)])
     if size == 6:
         state = np.column_stack([state, rng.uniform(1, 30, n), rng.normal(0, 0.3, n)])
     direction = rng.normal(size=(n, 3))
@@ -92,9 +90,7 @@ def test_broadcasts_landmarks_against_particles():
     z = measure(particles, landmark[:, None], kind[:, None], BS_POSITION, speed=SPEED)
     by_state, by_landmark = jacobians(particles, landmark[:, None], kind[:, None], BS_POSITION, speed=SPEED)
     assert z.shape == (4, 7, 6) and by_state.shape == (4, 7, 6, 4) and by_landmark.shape == (4, 7, 6, 3)
-    np.testing.assert_array_equal(
-        z[2, 3], measure(particles[3], landmark[2], kind[2], BS_POSITION, speed=SPEED)
-    )
+    np.testing.assert_array_equal(z[2, 3], measure(particles[3], landmark[2], kind[2], BS_POSITION, speed=SPEED))
 
 
 def test_doppler_is_minus_the_rate_of_the_path_length():
@@ -106,9 +102,7 @@ def test_doppler_is_minus_the_rate_of_the_path_length():
     earlier[:, :2] -= step
     lengths = [measure(s, landmark, kind, BS_POSITION, speed=SPEED)[:, 0] for s in (later, earlier)]
     rate = (lengths[0] - lengths[1]) / (2 * dt)
-    np.testing.assert_allclose(
-        -rate, measure(state, landmark, kind, BS_POSITION, speed=SPEED)[:, 5], atol=1e-4
-    )
+    np.testing.assert_allclose(-rate, measure(state, landmark, kind, BS_POSITION, speed=SPEED)[:, 5], atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [4, 6])

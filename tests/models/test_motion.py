@@ -43,9 +43,7 @@ def test_jacobian_and_twin(n, rate):
 
 def test_velocity_has_the_speed_of_the_state():
     motion = CoordinatedTurn(0.5, np.eye(6))
-    np.testing.assert_allclose(
-        velocity(np.array([0, 0, np.pi / 2, 0, 3.0, 0.1]), motion), [0, 3, 0], atol=1e-12
-    )
+    np.testing.assert_allclose(velocity(np.array([0, 0, np.pi / 2, 0, 3.0, 0.1]), motion), [0, 3, 0], atol=1e-12)
 
 
 def test_wrong_noise_is_refused():

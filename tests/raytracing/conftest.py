@@ -67,9 +67,7 @@ def _expected_paths(surfaces, bs, receivers, max_depth):
             if any(a == b for a, b in pairwise(sequence)):
                 continue
             index = np.array(sequence, dtype=int)
-            geometry = reflected_paths(
-                bs, receivers, surfaces.plane_normal[index], surfaces.plane_offset[index]
-            )
+            geometry = reflected_paths(bs, receivers, surfaces.plane_normal[index], surfaces.plane_offset[index])
             corners = np.concatenate([
                 np.broadcast_to(bs, (len(receivers), 1, 3)), geometry.vertices, receivers[:, None]
             ], axis=1)  # fmt: skip
@@ -79,10 +77,7 @@ def _expected_paths(surfaces, bs, receivers, max_depth):
                 normal, offset = surfaces.plane_normal[plane], surfaces.plane_offset[plane]
                 sides = (corners[:, [i, i + 2]] @ normal) - offset
                 valid &= sides[:, 0] * sides[:, 1] > 0
-                valid &= (
-                    _margin_in_plane(corners[:, i + 1], surfaces.triangles[surfaces.triangle_plane == plane])
-                    >= 0
-                )
+                valid &= _margin_in_plane(corners[:, i + 1], surfaces.triangles[surfaces.triangle_plane == plane]) >= 0
             rows = np.flatnonzero(valid)
             for i in range(depth + 1):
                 if len(rows):

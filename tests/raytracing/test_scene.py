@@ -29,9 +29,7 @@ def eta(loaded, name):
 
 
 def test_a_missing_scene_names_the_nearest():
-    with pytest.raises(
-        SceneError, match=r"'simple_stret_canyon' is neither.*did you mean 'simple_street_canyon'"
-    ):
+    with pytest.raises(SceneError, match=r"'simple_stret_canyon' is neither.*did you mean 'simple_street_canyon'"):
         load_scene(SceneSource("simple_stret_canyon"), 28e9)
 
 
@@ -52,9 +50,7 @@ def test_a_broken_file_is_named(tmp_path, text):
 
 
 def test_a_missing_mesh_file_is_named(tmp_path):
-    shape = (
-        '<shape type="ply" id="a"><string name="filename" value="none.ply"/><ref id="m" name="bsdf"/></shape>'
-    )
+    shape = '<shape type="ply" id="a"><string name="filename" value="none.ply"/><ref id="m" name="bsdf"/></shape>'
     with pytest.raises(SceneError, match=r"none\.ply"):
         load_scene(SceneSource(scene(tmp_path, MATERIAL.format("m", "concrete"), shape)), 28e9)
 
@@ -77,9 +73,7 @@ def test_an_undefined_material_is_explained(tmp_path, name, itu, carrier):
 
 
 def test_an_unused_material_does_not_matter(tmp_path):
-    file = scene(
-        tmp_path, MATERIAL.format("g", "wet_ground"), MATERIAL.format("m", "concrete"), WALL.format("m")
-    )
+    file = scene(tmp_path, MATERIAL.format("g", "wet_ground"), MATERIAL.format("m", "concrete"), WALL.format("m"))
     assert load_scene(SceneSource(file), 28e9).surfaces.objects == ("wall",)
 
 
@@ -114,9 +108,7 @@ def test_endpoints_as_data_are_those_of_the_original(ring_xml, ring_track):
     for i, (p, v) in enumerate(zip(*ring_track, strict=True)):
         orientation = mi.Point3f(*rng.normal(size=3).tolist())
         loaded.scene.add(
-            rt.Receiver(
-                f"ue{i}", mi.Point3f(*p.tolist()), orientation=orientation, velocity=mi.Vector3f(*v.tolist())
-            )
+            rt.Receiver(f"ue{i}", mi.Point3f(*p.tolist()), orientation=orientation, velocity=mi.Vector3f(*v.tolist()))
         )
     two = rt.PlanarArray(num_rows=1, num_cols=2, pattern="iso", polarization="V")
     for array, synthetic in ((loaded.scene.rx_array, True), (two, True), (two, False)):

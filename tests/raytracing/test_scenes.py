@@ -26,12 +26,8 @@ def test_courtyard(expected_paths):
     hidden = len(steps) - np.count_nonzero(names == "BS")
     assert len(steps) / 4 <= hidden <= len(steps) / 2
     first = {"VA ground", "VA wall_east", "VA wall_north", "VA wall_south"}
-    assert (
-        set(landmarks.name[(landmarks.kind == 1) & (landmarks.order == 1)]) == first
-    )  # none behind the array
-    assert {"VA wall_east > wall_north", "VA wall_south > wall_north"} <= set(
-        landmarks.name[landmarks.order == 2]
-    )
+    assert set(landmarks.name[(landmarks.kind == 1) & (landmarks.order == 1)]) == first  # none behind the array
+    assert {"VA wall_east > wall_north", "VA wall_south > wall_north"} <= set(landmarks.name[landmarks.order == 2])
     window = owner[names == "SP window"]
     assert len(window) == len(steps)
     # The oracle's planes are exact and all reflect: leave out the panes (4 mm in front) and the absorbers.

@@ -90,9 +90,7 @@ def test_both_ways_around_a_right_angled_corner_are_one_landmark():
     assert naming.canonical((north, east)) == naming.canonical((east, north)) == (east, north)
     assert naming.canonical((west, east)) == (west, east) != naming.canonical((east, west))
     sequences = {naming.canonical(s) for s in [(), (east,), (north, east), (west, east), (east, west)]}
-    marks, rows = landmarks_of(
-        surfaces, np.array([0.0, 0, 40]), sequences, naming, ("lamp",), np.array([[1.0, 2, 3]])
-    )
+    marks, rows = landmarks_of(surfaces, np.array([0.0, 0, 40]), sequences, naming, ("lamp",), np.array([[1.0, 2, 3]]))
     assert marks.name.tolist() == [
         "BS", "VA wall_east", "VA wall_east > wall_north", "VA wall_east > wall_west",
         "VA wall_west > wall_east", "SP lamp",

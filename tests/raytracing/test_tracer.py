@@ -122,9 +122,7 @@ def test_no_path_is_lost_between_convex_walls(ring_xml, expected_paths, depth, s
 
 def test_no_path_is_lost_in_the_street_canyon(expected_paths):
     receivers = np.column_stack([np.linspace(-25, 55, 41), np.full(41, 0.5), np.full(41, 1.5)])
-    tracer = Tracer(
-        SceneSource("simple_street_canyon"), CARRIER, [-20.0, -6.0, 12.0], None, TraceSettings(max_depth=2)
-    )
+    tracer = Tracer(SceneSource("simple_street_canyon"), CARRIER, [-20.0, -6.0, 12.0], None, TraceSettings(max_depth=2))
     _check_complete(tracer, receivers, 2, expected_paths)
 
 
@@ -132,8 +130,7 @@ def _check_complete(tracer, receivers, depth, expected_paths):
     expected = expected_paths(tracer.surfaces, tracer.bs_position, receivers, depth)
     traced = join(list(tracer.chunks(receivers)))
     names = {
-        (row, "BS" if not planes else tracer.naming.name(tracer.naming.canonical(planes)))
-        for row, planes in expected
+        (row, "BS" if not planes else tracer.naming.name(tracer.naming.canonical(planes))) for row, planes in expected
     }
     owner = np.repeat(np.arange(len(receivers)), np.diff(traced.paths.offsets))
     found = {(int(r), traced.landmarks.name[i]) for r, i in zip(owner, traced.paths.landmark, strict=True)}
@@ -142,9 +139,7 @@ def _check_complete(tracer, receivers, depth, expected_paths):
 
 
 def test_second_order_anchors_are_named_by_their_walls(ring_xml, ring_track):
-    landmarks, paths = trace(
-        SceneSource(ring_xml), CARRIER, BS, *ring_track, None, TraceSettings(max_depth=2)
-    )
+    landmarks, paths = trace(SceneSource(ring_xml), CARRIER, BS, *ring_track, None, TraceSettings(max_depth=2))
     double = landmarks.order == 2
     assert {n for n in landmarks.name[double]} == {
         "VA wall_east > wall_north", "VA wall_east > wall_south", "VA wall_north > wall_west",
@@ -175,9 +170,9 @@ def test_chunks_with_different_anchors_join(ring_xml, ring_track):
     tracer = Tracer(SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, settings)
     receivers = np.array([[-80.0, 60, 1], [80, 80, 1], [0, 0, 1], [10, -90, 1], [50, 50, 1], [-50, -90, 40]])
     joined = join(list(tracer.chunks(receivers)))
-    (whole,) = Tracer(
-        SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, TraceSettings(max_depth=2)
-    ).chunks(receivers)
+    (whole,) = Tracer(SceneSource(ring_xml), CARRIER, [60.0, 60.0, 20.0], POINTS, TraceSettings(max_depth=2)).chunks(
+        receivers
+    )
     assert same(joined.landmarks, whole.landmarks) and same(joined.paths, whole.paths)
 
 
@@ -234,9 +229,7 @@ def test_free_space_and_no_reflections(tmp_path, ring_xml):
     points = ScatterPoints(("ball",), [[5.0, 5.0, 5.0]])
     landmarks, paths = trace(SceneSource(file), CARRIER, [0.0, 0.0, 10.0], [[10.0, 0, 0]], None, points)
     assert landmarks.name[paths.landmark].tolist() == ["BS", "SP ball"]
-    _, direct = trace(
-        SceneSource(ring_xml), CARRIER, BS, [[10.0, 0, 0]], None, None, TraceSettings(max_depth=0)
-    )
+    _, direct = trace(SceneSource(ring_xml), CARRIER, BS, [[10.0, 0, 0]], None, None, TraceSettings(max_depth=0))
     assert direct.landmark.tolist() == [0]
 
 

@@ -50,9 +50,7 @@ def test_laplace_integral_against_numbers(world, kind):
     state = nominal_track(world)[3]
     x = world.landmarks(kind)[1]
     noise = np.diag((STD * [1, 0.1, 0.1, 0.1, 0.1, 1]) ** 2)
-    z = measure(state, x, kind, world.bs, speed=world.motion.speed) + rng.normal(size=6) * np.sqrt(
-        np.diag(noise)
-    )
+    z = measure(state, x, kind, world.bs, speed=world.motion.speed) + rng.normal(size=6) * np.sqrt(np.diag(noise))
     site = (*world.bs, 0.0, world.motion.speed)
     valid, chi2, log_volume, mode, _, own = fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)
     assert valid
@@ -75,9 +73,7 @@ def test_ratio_of_the_two_types_at_birth(world):
         sp, _, _ = incidence(ue, va, world.bs)
         z = measure(state, va, VA, world.bs, speed=world.motion.speed)
         noise = 1e-4 * np.diag(STD**2)
-        volumes = [
-            fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)[2] for kind, x in ((VA, va), (SP, sp))
-        ]
+        volumes = [fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)[2] for kind, x in ((VA, va), (SP, sp))]
         q = (va - ue) / np.linalg.norm(va - ue)
         cos_alpha = q @ (sp - world.bs) / np.linalg.norm(sp - world.bs)
         expected = np.sum((va - ue) ** 2) * (1 + cos_alpha) / np.sum((sp - ue) ** 2)
@@ -146,6 +142,4 @@ def test_thinning_remembers_where_the_receiver_was(world):
     sp = undetected_intensity(near_first, 1e-6 * np.eye(3), SP, 0.0, density, model)
     assert sp == pytest.approx(4e-6 * 0.1 + 1e-10 * (1 + 1 + 1 + 0.1), rel=1e-6)
     constant = compile_model(replace(base, thinning=False), world.motion, world.bs)
-    assert undetected_intensity(near_first, np.eye(3), SP, 0.0, density, constant) == pytest.approx(
-        4e-6 + 1e-10
-    )
+    assert undetected_intensity(near_first, np.eye(3), SP, 0.0, density, constant) == pytest.approx(4e-6 + 1e-10)

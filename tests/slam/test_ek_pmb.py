@@ -90,9 +90,7 @@ def test_cubature_is_the_kalman_filter_where_the_model_is_linear(world):
     """With a vanishing spread both linearizations agree."""
     state = nominal_track(world)[0]
     z = sure_scan(world, state, np.random.default_rng(2))
-    scan = ek_pmb.Scan(
-        z, np.broadcast_to(np.diag(world.noise.std**2), (5, 6, 6)).copy(), np.zeros(5), 100, 1e-30
-    )
+    scan = ek_pmb.Scan(z, np.broadcast_to(np.diag(world.noise.std**2), (5, 6, 6)).copy(), np.zeros(5), 100, 1e-30)
     small = replace(world, prior_covariance=1e-6 * world.prior_covariance)
     still = replace(world.motion, process_noise=1e-6 * world.motion.process_noise)
     posteriors = []
@@ -168,9 +166,7 @@ def test_rigid_motion_of_the_world_moves_the_answer(world):
     np.testing.assert_allclose(there.position, here.position @ turn.T + shift, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"joint": False}, {"doppler": False}, {"cubature": True}, {"reweight": True}]
-)
+@pytest.mark.parametrize("options", [{}, {"joint": False}, {"doppler": False}, {"cubature": True}, {"reweight": True}])
 def test_probabilities_and_covariances_stay_what_they_are(world, options):
     _, scans = simulate(replace(world, clutter_count=10.0), 0, 3)
     history, diagnostics = run(world, scans, **options)

@@ -38,9 +38,7 @@ def test_exact_association_is_enumeration():
     rng = np.random.default_rng(1)
     for features, measurements in [(1, 1), (1, 3), (3, 1), (2, 3), (3, 3), (4, 4)]:
         case = random_case(rng, features, measurements)
-        np.testing.assert_allclose(
-            exact_association(*case), enumerate_marginals(*map(np.exp, case)), rtol=1e-10
-        )
+        np.testing.assert_allclose(exact_association(*case), enumerate_marginals(*map(np.exp, case)), rtol=1e-10)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1)])
@@ -102,9 +100,7 @@ def test_permutation_and_column_scaling(seed, features, measurements):
     permuted = loopy_association(missed[rows], detected[rows][:, columns], new[columns]).marginal
     np.testing.assert_allclose(permuted[:, 1:], base[rows][:, 1 + columns], atol=1e-5)
     shift = rng.normal(0, 30, measurements)
-    np.testing.assert_allclose(
-        loopy_association(missed, detected + shift, new + shift).marginal, base, atol=1e-5
-    )
+    np.testing.assert_allclose(loopy_association(missed, detected + shift, new + shift).marginal, base, atol=1e-5)
 
 
 def test_empty_sides():
