@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dopslam.cli.common import Settings, doppler_choice, overrides
+from dopslam.cli.common import Settings, doppler_choice, overrides, positive
 
 
 def bound(
@@ -92,14 +92,6 @@ def bound(
 
 
 def _visibility(text: str) -> float | None:
-    from dopslam.errors import ConfigError
-
     if text.lower() == "all":
         return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value < float("inf"):
-        raise ConfigError(f"--visibility {text!r}: give a positive range in m, or all")
-    return value
+    return positive(text, "--visibility", "give a positive range in m, or all")

@@ -18,21 +18,26 @@ def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
     return [*(settings or []), *(f"{key.replace('__', '.')}={value}" for key, value in flags.items() if value)]
 
 
-def doppler_choice(text: str | None) -> tuple[bool, float | None]:
-    """``--doppler-std``: whether Doppler is used, and its standard deviation [m/s] if one is given."""
+def positive(text: str, option: str, remedy: str) -> float:
+    """A positive finite number from the command line; ``remedy`` ends the message if it is none."""
     from dopslam.errors import ConfigError
 
-    if text is None:
-        return True, None
-    if text.lower() == "none":
-        return False, None
     try:
         value = float(text)
     except ValueError:
         value = -1.0
     if not 0 < value < float("inf"):
-        raise ConfigError(f"--doppler-std {text!r}: give a positive number in m/s, or none")
-    return True, value
+        raise ConfigError(f"{option} {text!r}: {remedy}")
+    return value
+
+
+def doppler_choice(text: str | None) -> tuple[bool, float | None]:
+    """``--doppler-std``: whether Doppler is used, and its standard deviation [m/s] if one is given."""
+    if text is None:
+        return True, None
+    if text.lower() == "none":
+        return False, None
+    return True, positive(text, "--doppler-std", "give a positive number in m/s, or none")
 
 
 def worker_count(jobs: int | None) -> int:
