@@ -87,13 +87,13 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
     return label
 
 
-def landmark_errors(landmarks: Landmarks, history: History, threshold: float) -> np.ndarray:
+def landmark_errors(landmarks: Landmarks, history: History, threshold: float, largest_order: int = 1) -> np.ndarray:
     """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if
-    missed."""
+    missed, or of more reflections than ``largest_order``."""
     found = np.full(len(landmarks), np.inf)
     found[landmarks.kind == Kind.BS] = 0.0
     for kind in (Kind.VA, Kind.SP):
-        true = np.flatnonzero((landmarks.kind == kind) & (landmarks.order <= 1))
+        true = np.flatnonzero((landmarks.kind == kind) & (landmarks.order <= largest_order))
         estimated = history.reported(history.steps - 1, kind, threshold)
         distance = np.linalg.norm(landmarks.position[true][:, None] - estimated[None], axis=-1)
         for i, j in zip(*linear_sum_assignment(distance), strict=True):
@@ -101,18 +101,26 @@ def landmark_errors(landmarks: Landmarks, history: History, threshold: float) ->
     return found
 
 
-def evaluate_run(scenario: Scenario, track: Track, landmarks: Landmarks, history: History, bound: Bound) -> Evaluation:
+def evaluate_run(
+    scenario: Scenario,
+    track: Track,
+    landmarks: Landmarks,
+    history: History,
+    bound: Bound,
+    largest_order: int = 1,
+) -> Evaluation:
     """Errors of a filter's history beside the bound of the same run.
 
-    The map is judged over the landmarks that the measurement model describes: scatter points and virtual anchors of one
-    reflection; those of higher order are listed in the summary but can be neither found nor missed.
+    The map is judged over the landmarks that the filter's measurement model describes: scatter points and virtual
+    anchors of up to ``largest_order`` reflections (1 for the EK-PMB filters; belief propagation has a type for the
+    others). Those of higher order can be neither found nor missed.
     """
     error = metrics.state_errors(history.mean[:, :4], track.state)
     settings, threshold = scenario.evaluation, scenario.filter.report_existence
-    simple = landmarks.order <= 1
+    described = landmarks.order <= largest_order
 
     def gospa(kind: Kind) -> np.ndarray:
-        true = landmarks.position[(landmarks.kind == kind) & simple]
+        true = landmarks.position[(landmarks.kind == kind) & described]
         return np.array([
             metrics.gospa(
                 true, history.reported(k, kind, threshold), settings.gospa_cutoff, settings.gospa_order
@@ -130,7 +138,7 @@ def evaluate_run(scenario: Scenario, track: Track, landmarks: Landmarks, history
         nees=metrics.nees(error, history.covariance[:, :4, :4]),
         gospa_va=gospa(Kind.VA),
         gospa_sp=gospa(Kind.SP),
-        found=landmark_errors(landmarks, history, threshold),
+        found=landmark_errors(landmarks, history, threshold, largest_order),
     )
 
 
@@ -141,6 +149,11 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
     for label, kind in (("va", Kind.VA), ("sp", Kind.SP)):
         chosen = simple & (landmarks.kind == kind)
         counts |= {f"{label}_found": int(np.sum(within & chosen)), f"{label}_total": int(np.sum(chosen))}
+
+    def named(chosen: np.ndarray) -> dict:
+        pairs = zip(landmarks.name[chosen], evaluation.found[chosen], strict=True)
+        return {str(name): (float(error) if np.isfinite(error) else None) for name, error in pairs}
+
     return {
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),
@@ -152,11 +165,7 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
         "gospa_va_m": float(evaluation.gospa_va[-1]),
         "gospa_sp_m": float(evaluation.gospa_sp[-1]),
         **counts,
-        "landmark_error_m": {
-            str(name): (float(error) if np.isfinite(error) else None)
-            for name, error, kind, one in zip(landmarks.name, evaluation.found, landmarks.kind, simple, strict=True)
-            if kind != Kind.BS and one
-        },
-        "higher_order_va": [str(name) for name in landmarks.name[~simple]],
+        "landmark_error_m": named(simple & (landmarks.kind != Kind.BS)),
+        "higher_order_va_error_m": named(~simple),
         "nees": float(np.mean(evaluation.nees)),
     }

@@ -326,6 +326,14 @@ def slam(
     return history
 
 
+def largest_order(density: str, landmarks: Landmarks) -> int:
+    """Reflections of a virtual anchor that the filter's map may hold.
+
+    The EK-PMB's model has the departure of a single reflection; belief propagation has a type without departure as well.
+    """
+    return int(landmarks.order.max()) if density == "bp" else 1
+
+
 def landmark_of_detections(
     scenario: Scenario, track: Track, landmarks: Landmarks, paths: Paths | None, detections: DetectionSeries
 ) -> np.ndarray:

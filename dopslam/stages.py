@@ -151,7 +151,8 @@ def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
         if group not in have:
             raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}' first")
         bounds = dataset.read_record(path, group, Bound)
-        evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds)
+        order = pipeline.largest_order(VARIANTS[name][0], landmarks)
+        evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
     radius = scenario.evaluation.found_radius
     variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
     main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
@@ -172,7 +173,8 @@ def _detection_figures(scenario: Scenario, track: Track, paths: Paths | None, de
 
 
 def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
-    """Write ``summary.json``, ``table.txt`` and the figures of an evaluated dataset into an existing folder."""
+    """Write ``summary.json``, ``table.txt`` and the figures of an evaluated dataset into a folder, made if missing."""
+    Path(target).mkdir(parents=True, exist_ok=True)
     track, landmarks, paths, plan = read_truth(path)
     main = summary["filter"]
     with figures.house_style():

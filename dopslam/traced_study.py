@@ -15,11 +15,10 @@ from scipy.stats import t as student
 
 from dopslam import dataset, matching, pipeline, stages
 from dopslam.config import Scenario
-from dopslam.evaluation import evaluate_run, summarize
+from dopslam.evaluation import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import Progress, quiet
 
 NOISES = {"estimator": "none", "paper": "model"}
-VARIANTS = {name: variant for name, variant in stages.VARIANTS.items() if variant[0] != "bp"}
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "gospa_va_m", "gospa_sp_m")
 
 
@@ -44,24 +43,25 @@ def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Pr
     return path
 
 
-def summaries(path: Path, noise: str) -> dict:
-    """Every filter variant on the detections of one dataset, which is left as it was."""
+def evaluations(path: Path, noise: str) -> tuple[dict[str, Evaluation], dict[str, dict]]:
+    """Every filter variant on the detections of one dataset, which is left as it was: evaluations, and their figures."""
     settings = (f"source.traced.added_noise={NOISES[noise]}",)
     scenario, seed = stages.scenario_of(path, settings)
-    truth = stages.read_truth(path)
+    track, landmarks, paths, _ = stages.read_truth(path)
     detections = stages.blurred(scenario, stages.read_detections(path), seed)
-    bounds = {d: pipeline.bound(scenario, *truth[:3], detections, d) for d in (True, False)}
-    return {
-        name: summarize(
-            evaluate_run(scenario, *truth[:2], pipeline.slam(scenario, detections, density, doppler), bounds[doppler]),
-            truth[1],
-            scenario.evaluation.found_radius,
-        )
-        for name, (density, doppler) in VARIANTS.items()
-    }
+    bounds = {d: pipeline.bound(scenario, track, landmarks, paths, detections, d) for d in (True, False)}
+    found = {}
+    for name, (density, doppler) in stages.VARIANTS.items():
+        history = pipeline.slam(scenario, detections, density, doppler, seed)
+        order = pipeline.largest_order(density, landmarks)
+        found[name] = evaluate_run(scenario, track, landmarks, history, bounds[doppler], order)
+    radius = scenario.evaluation.found_radius
+    return found, {name: summarize(e, landmarks, radius) for name, e in found.items()}
 
 
-def study(scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Progress = quiet) -> dict:
+def study(
+    scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Progress = quiet, noises=tuple(NOISES)
+) -> dict:
     """Run the study.
 
     Parameters
@@ -70,34 +70,56 @@ def study(scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Prog
     seeds : one run each
     folder : existing folder that keeps the datasets; complete ones are used again
     jobs : worker processes of the estimation
+    noises : which of :data:`NOISES`
 
     Returns
     -------
     dict
-        ``detections``: pooled figures of the estimator; ``estimator`` and ``paper``: for every filter variant mean
-        and 95 %
-        interval of RMSEs, NEES, GOSPA and ``rmse_over_bound``, and landmarks found; ``doppler_gain``: position RMSE
-        without over
-        with Doppler, paired over the runs; ``runs``: every single figure.
+        ``detections``: pooled figures of the estimator; ``line_of_sight``: (K,) share of the runs that have one;
+        ``estimator`` and ``paper``: for every filter variant mean and 95 % interval of RMSEs, NEES, GOSPA and
+        ``rmse_over_bound``, landmarks found and ``steps``, the RMSE over the runs at every step; ``doppler_gain``:
+        position RMSE without over with Doppler, paired over the runs; ``runs``: every single figure.
     """
     seeds = list(seeds)
     paths = [prepare(scenario, seed, folder, jobs, progress) for seed in seeds]
-    matches = []
+    matches, sight = [], []
     for path in paths:
         track, _, traced, _ = stages.read_truth(path)
         matches += matching.match_series(scenario, track, traced, stages.read_detections(path))
-    result: dict = {"scenario": scenario.name, "seeds": seeds, "detections": matching.figures(matches)}
-    for noise in NOISES:
-        runs = [summaries(path, noise) for path in paths]
-        result[noise] = {name: _pooled([run[name] for run in runs]) for name in VARIANTS}
+        sight.append([bool(np.any(traced.landmark[traced.rows(k)] == 0)) for k in range(traced.steps)])
+    result: dict = {
+        "scenario": scenario.name,
+        "estimator_kind": scenario.estimator.kind,
+        "seeds": seeds,
+        "detections": matching.figures(matches),
+        "line_of_sight": np.mean(sight, axis=0).tolist(),
+        "runs": {},
+    }
+    for noise in noises:
+        found, runs = zip(*(evaluations(path, noise) for path in paths), strict=True)
+        result[noise] = {
+            name: _pooled([run[name] for run in runs]) | {"steps": _by_step([f[name] for f in found])}
+            for name in stages.VARIANTS
+        }
         result[noise]["doppler_gain"] = {
             density: mean_interval([
                 run[f"{density}, no Doppler"]["position_rmse_m"] / run[density]["position_rmse_m"] for run in runs
             ])
             for density in ("joint", "marginal")
         }  # fmt: skip
-        result.setdefault("runs", {})[noise] = runs
+        result["runs"][noise] = list(runs)
     return result
+
+
+def _by_step(runs: list[Evaluation]) -> dict[str, list[float]]:
+    """Root mean square over the runs at every step, errors beside bounds."""
+    columns = {
+        "position_rmse_m": [run.position_error for run in runs],
+        "heading_rmse_deg": [np.degrees(run.heading_error) for run in runs],
+        "peb_m": [run.peb for run in runs],
+        "heb_deg": [np.degrees(run.heb) for run in runs],
+    }
+    return {name: np.sqrt(np.mean(np.square(values), axis=0)).tolist() for name, values in columns.items()}
 
 
 def _pooled(runs: list[dict]) -> dict:
@@ -106,5 +128,10 @@ def _pooled(runs: list[dict]) -> dict:
         name: mean_interval([run["rmse_over_bound"][name] for run in runs]) for name in ("position", "heading", "clock")
     }
     errors = [e for run in runs for e in run["landmark_error_m"].values()]
-    pooled["landmarks_within_1_m"] = {"found": sum(e is not None and e <= 1.0 for e in errors), "of": len(errors)}
+    pooled["landmarks_within_1_m"] = _within(errors)
+    pooled["higher_order_va_within_1_m"] = _within([e for run in runs for e in run["higher_order_va_error_m"].values()])
     return pooled
+
+
+def _within(errors: list[float | None], radius: float = 1.0) -> dict[str, int]:
+    return {"found": sum(e is not None and e <= radius for e in errors), "of": len(errors)}

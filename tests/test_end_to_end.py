@@ -78,7 +78,7 @@ def test_two_bounces_report_second_order_anchors(tmp_path):
     stages.slam(path)
     stages.bound(path)
     summary, _ = stages.evaluate(path)
-    assert len(summary["higher_order_va"]) == np.sum(landmarks.order == 2)
+    assert len(summary["higher_order_va_error_m"]) == np.sum(landmarks.order == 2)
     assert summary["va_total"] == 4
 
 

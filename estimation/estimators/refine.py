@@ -82,7 +82,9 @@ def metric(grams, active) -> Float:
     """Normalized information (..., 6, 6) of isolated paths from their Gram matrices (..., 7, 7): the
     ambiguity function's curvature.
     """
+    # An element pattern may vanish where a path wandered to: no signal, no curvature.
     norm = grams[..., 0, 0].real[..., None, None]
+    norm = np.where(norm > 0, norm, 1.0)
     cross = grams[..., 1:, :1] @ grams[..., :1, 1:]
     matrix = np.real(grams[..., 1:, 1:] - cross / norm) / norm
     return matrix * np.outer(active, active)
