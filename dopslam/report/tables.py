@@ -60,28 +60,31 @@ def study_text(result: dict) -> str:
     """Tables of a traced study (``dopslam.traced_study.study``) as Markdown: estimator, filters, gain of Doppler."""
     d = result["detections"]
     bands = ", ".join(f"{band} dB: {b['found']}/{b['of']}" for band, b in d["found_by_rho_db"].items() if b["of"])
+    sight = sum(result["line_of_sight"]) / len(result["line_of_sight"])
     lines = [
-        f"{result['scenario']}, seeds {result['seeds'][0]}–{result['seeds'][-1]}",
+        f"{result['scenario']}, seeds {result['seeds'][0]}–{result['seeds'][-1]}, line of sight in {sight:.0%} of the steps",
         "",
-        f"Estimator: {d['per_snapshot']:.2f} detections and {d['false_per_snapshot']:.3f} false ones per snapshot, "
-        f"NEES/6 {d['nees_over_6']:.3f}; found by ρ: {bands}",
+        f"Estimator {result['estimator_kind']}: {d['per_snapshot']:.2f} detections and {d['false_per_snapshot']:.3f} "
+        f"false ones per snapshot, NEES/6 {d['nees_over_6']:.3f}; found by ρ: {bands}",
     ]
     for noise, title in (("estimator", "R of the estimator"), ("paper", "noise of paper A's R added")):
+        if noise not in result:
+            continue
         lines += [
             "",
-            f"| {title} | position m | × PEB | heading ° | clock m | NEES | GOSPA VA / SP m | within 1 m |",
-            "|---|---|---|---|---|---|---|---|",
+            f"| {title} | position m | × PEB | heading ° | clock m | NEES | GOSPA VA / SP m | within 1 m | of 2 reflections |",
+            "|---|---|---|---|---|---|---|---|---|",
         ]
         for name, v in result[noise].items():
             if name == "doppler_gain":
                 continue
-            within = v["landmarks_within_1_m"]
+            within, higher = v["landmarks_within_1_m"], v["higher_order_va_within_1_m"]
             lines.append(
                 f"| {name} | {_with_interval(v['position_rmse_m'], 4)} | "
                 f"{_with_interval(v['rmse_over_bound']['position'], 2)} | "
                 f"{v['heading_rmse_deg']['mean']:.4f} | {v['clock_bias_rmse_m']['mean']:.4f} | "
                 f"{_with_interval(v['nees'], 1)} | {v['gospa_va_m']['mean']:.2f} / {v['gospa_sp_m']['mean']:.2f} | "
-                f"{within['found']} of {within['of']} |"
+                f"{within['found']} of {within['of']} | {higher['found']} of {higher['of']} |"
             )
         gains = result[noise]["doppler_gain"]
         lines += ["", "Position RMSE without over with Doppler, paired: " + "; ".join(
