@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
+from dopslam.belief_config import BeliefConfig, ExperimentConfig
 from dopslam.dataset_config import DatasetConfig
 from dopslam.errors import ConfigError
 
@@ -236,6 +237,8 @@ class Scenario(_Frozen):
     estimator: Estimator = Estimator()
     filter: Filter = Filter()
     evaluation: Evaluation = Evaluation()
+    experiment: ExperimentConfig | None = None
+    belief: BeliefConfig = BeliefConfig()
     dataset: DatasetConfig | None = None
     _folder: Path | None = PrivateAttr(default=None)
 

@@ -15,7 +15,8 @@ def montecarlo(
     *,
     source: Literal["model"] = "model",
     runs: int = 100,
-    filter_name: Annotated[Literal["joint", "marginal", "smoother"], Parameter(name="--filter")] = "joint",
+    filter_name: Annotated[Literal["joint", "marginal", "smoother", "bp"], Parameter(name="--filter")] = "joint",
+    particles: int | None = None,
     doppler_std: str | None = None,
     prior: Literal["std", "var"] = "std",
     seed: int = 0,
@@ -35,7 +36,10 @@ def montecarlo(
         Number of independent runs.
     filter_name
         joint keeps the cross-covariances of receiver and map, marginal drops them as paper A does, smoother
-        adds a fixed lag of filter.lag steps to joint.
+        adds a fixed lag of filter.lag steps to joint; bp is belief propagation on the scenario's [experiment]
+        (paper B, Section VI-B).
+    particles
+        Of belief propagation; default the scenario's.
     doppler_std
         Standard deviation of Doppler in m/s, or none to leave Doppler out; default the scenario's.
     prior
@@ -49,6 +53,11 @@ def montecarlo(
     settings
         Override a scenario key, for instance --set filter.motion=unknown.
     """
+    if filter_name == "bp":
+        from dopslam.cli.belief import belief_study
+
+        belief_study(scene, overrides(settings), runs, particles, seed, worker_count(jobs), json)
+        return
     from rich.console import Console
     from rich.table import Table
 

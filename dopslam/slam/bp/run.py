@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dopslam.metrics import gospa, nees
 from dopslam.models.measurement import wrap
 from dopslam.slam.bp.experiment import Experiment, Truth
 from dopslam.slam.bp.rao_blackwell import RaoBlackwell, State
@@ -18,7 +19,8 @@ from dopslam.slam.bp.start import Box, informed_start, uniform_start
 
 @dataclass(frozen=True)
 class History:
-    """Infos of every step, the final state and the CPU time per step [s]."""
+    """Infos of every step, the final state and the time per step [s]: of the CPU for the Rao-Blackwellized engine, by the
+    clock for the stacked one, whose backend has threads."""
 
     infos: list[Info]
     state: State | StackedState
@@ -55,11 +57,12 @@ def run(
 
 def run_from(filter_, rng: np.random.Generator, scans: Sequence[Scan], state) -> History:
     """Filter every scan from a given state."""
-    infos, begin = [], time.thread_time()
+    clock = time.perf_counter if isinstance(filter_, Stacked) else time.thread_time
+    infos, begin = [], clock()
     for scan in scans:
         state, info = filter_.step(rng, state, scan)
         infos.append(info)
-    return History(infos, state, (time.thread_time() - begin) / max(len(scans), 1))
+    return History(infos, state, (clock() - begin) / max(len(scans), 1))
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,9 @@ class Score:
     type_history : (K, L) belief in the true type of every feature (0 while it is not declared near its place)
     true_type : (L,) at the last step
     map_error : (L,) m, distance of the nearest declared feature at the last step
+    nees : (K,) of (x, y, heading)
+    gospa_va, gospa_sp : (K, 4) of the declared features by their likeliest type: distance [m] and its parts
+        localization, missed, false [m²]
     found : true features with a declared one within ``near``; false : declared ones without a true one
     ghost : whether a feature is declared within ``near`` of the anchor
     """
@@ -84,6 +90,9 @@ class Score:
     type_history: np.ndarray
     true_type: np.ndarray
     map_error: np.ndarray
+    nees: np.ndarray
+    gospa_va: np.ndarray
+    gospa_sp: np.ndarray
     found: int
     false: int
     ghost: bool
@@ -97,6 +106,7 @@ def evaluate(
     *,
     skip: int = 0,
     near: float = 0.5,
+    cutoff: float = 20.0,
 ) -> Score:
     """Compare a run with the truth.
 
@@ -105,6 +115,7 @@ def evaluate(
     types : the filter's types; both virtual-anchor forms count as virtual anchor
     skip : steps left out of the RMSE at the start (convergence from a uniform prior)
     near : m, radius of a feature found
+    cutoff : m, of GOSPA
     """
     position_error = np.linalg.norm(history.positions - truth.position, axis=1)
     heading_error = wrap(history.headings - truth.heading)
@@ -131,10 +142,31 @@ def evaluate(
         beliefs,
         beliefs[-1],
         gaps.min(axis=0) if len(last) else np.full(len(experiment.features), np.inf),
+        _nees(truth, history),
+        *(_gospa(experiment, history, scatterer, kind, cutoff) for kind in (False, True)),
         int((gaps.min(axis=0) < near).sum()) if len(last) else 0,
         int((gaps.min(axis=1) > near).sum()) if len(last) else 0,
         bool(len(last) and (np.linalg.norm(last - experiment.anchor, axis=1) < near).any()),
     )
+
+
+def _nees(truth: Truth, history: History) -> np.ndarray:
+    """(K,) squared error of (x, y, heading) in units of the particles' covariance."""
+    rows = np.array([0, 1, 2])
+    covariance = np.array([info.estimate.state_covariance for info in history.infos])[:, rows][:, :, rows]
+    error = np.column_stack([history.positions, history.headings]) - np.column_stack([truth.position, truth.heading])
+    return nees(np.column_stack([error[:, :2], wrap(error[:, 3])]), covariance)
+
+
+def _gospa(experiment: Experiment, history: History, scatterer: np.ndarray, kind: bool, cutoff: float) -> np.ndarray:
+    """(K, 4) GOSPA distance and parts of the virtual anchors (``kind`` False) or the scatterers (True)."""
+    truth = experiment.features[np.array([form == Form.PS for form in experiment.forms]) == kind]
+    rows = []
+    for info in history.infos:
+        declared = scatterer[info.estimate.type_belief.argmax(axis=1)] == kind
+        score = gospa(truth, info.estimate.feature[declared], cutoff)
+        rows.append([score.distance, score.localization, score.missed, score.false])
+    return np.array(rows)
 
 
 def _owners(experiment: Experiment, position: np.ndarray, features: np.ndarray, near: float = 1.0) -> np.ndarray:
