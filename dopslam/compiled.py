@@ -23,6 +23,15 @@ def compiled(function: Callable[..., Any]) -> Any:
     return dispatcher
 
 
+def compiled_without_lock(function: Callable[..., Any]) -> Any:
+    """:func:`compiled` for kernels that threads share: they run without the interpreter's lock."""
+    try:
+        dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:
+        return numba.njit(nogil=True, error_model="numpy")(function)
+    return dispatcher
+
+
 # Assigning a whole array inside a kernel pulls numba's broadcasting and its error texts into the machine code, some ten
 # seconds of compilation; these loops do not.
 

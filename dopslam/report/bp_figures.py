@@ -8,21 +8,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dopslam.report.figures import house_style
-from dopslam.slam.bp.bound import Bound
 from dopslam.slam.bp.experiment import Experiment, Truth
 from dopslam.slam.bp.records import Form
 from dopslam.slam.bp.run import History
-from dopslam.slam.bp.study import RunResult
+from dopslam.slam.loopy_study import LoopyErrors
 
 
-def type_beliefs(experiment: Experiment, results: dict[str, Sequence[RunResult]]) -> Figure:
-    """Mean belief in the true type of every feature over the steps; one line style per case."""
+def type_beliefs(names: Sequence[str], tables: dict[str, dict]) -> Figure:
+    """Mean belief in the true type of every feature over the steps; one line style per case.
+
+    names : of the features; tables : case → :func:`dopslam.slam.bp.study.summary`
+    """
     with house_style():
         figure = Figure(figsize=(6.4, 3.2))
         axes = figure.subplots()
-        names = _names(experiment)
-        for style, (case, runs) in zip(("-", "--", ":", "-."), results.items(), strict=False):
-            mean = np.mean([r.score.type_history for r in runs], axis=0)
+        for style, (case, table) in zip(("-", "--", ":", "-."), tables.items(), strict=False):
+            mean = np.array(table["per_step"]["type_belief_true"])
             for place, name in enumerate(names):
                 axes.plot(1 + np.arange(len(mean)), mean[:, place], style, color=f"C{place}", label=f"{name}, {case}")
         axes.set(xlabel="step", ylabel="belief in the true type", ylim=(-0.02, 1.02))
@@ -30,19 +31,19 @@ def type_beliefs(experiment: Experiment, results: dict[str, Sequence[RunResult]]
     return figure
 
 
-def errors_over_time(results: dict[str, Sequence[RunResult]], limits: Bound) -> Figure:
-    """Position and orientation RMSE over the runs at every step, with the bound."""
+def errors_over_time(tables: dict[str, dict]) -> Figure:
+    """Position and orientation RMSE over the runs at every step, with the first case's bound."""
     with house_style():
         figure = Figure(figsize=(6.4, 4.6))
         above, below = figure.subplots(2, 1, sharex=True)
-        steps = 1 + np.arange(len(limits.position))
-        for case, runs in results.items():
-            position = np.sqrt(np.mean([r.score.position_error**2 for r in runs], axis=0))
-            heading = np.sqrt(np.mean([r.score.heading_error**2 for r in runs], axis=0))
-            above.plot(steps, 1e3 * position, label=case)
-            below.plot(steps, np.degrees(heading), label=case)
-        above.plot(steps, 1e3 * limits.position, "k--", label="PCRB")
-        below.plot(steps, np.degrees(limits.heading), "k--", label="PCRB")
+        for case, table in tables.items():
+            steps = table["per_step"]
+            above.plot(1 + np.arange(len(steps["rmse_position"])), 1e3 * np.array(steps["rmse_position"]), label=case)
+            below.plot(1 + np.arange(len(steps["rmse_heading"])), np.degrees(steps["rmse_heading"]), label=case)
+        limits = next(iter(tables.values()))["per_step"]
+        numbers = 1 + np.arange(len(limits["bound_position"]))
+        above.plot(numbers, 1e3 * np.array(limits["bound_position"]), "k--", label="PCRB")
+        below.plot(numbers, np.degrees(limits["bound_heading"]), "k--", label="PCRB")
         above.set(ylabel="position RMSE [mm]", yscale="log")
         below.set(xlabel="step", ylabel="orientation RMSE [°]", yscale="log")
         above.legend(fontsize="small")
@@ -68,7 +69,20 @@ def belief_map(experiment: Experiment, truth: Truth, history: History, types: tu
     return figure
 
 
-def _names(experiment: Experiment) -> list[str]:
+def association_errors(errors: LoopyErrors) -> Figure:
+    """Share of cases whose worst marginal error exceeds a value, one line per kind of case."""
+    with house_style():
+        figure = Figure(figsize=(6.4, 3.2))
+        axes = figure.subplots()
+        for name, values in errors.worst.items():
+            ordered = np.sort(np.maximum(values, 1e-9))
+            axes.step(ordered, 1 - np.arange(len(ordered)) / len(ordered), where="post", label=name)
+        axes.set(xscale="log", yscale="log", xlim=(1e-6, 1), xlabel="worst error of a marginal", ylabel="share above")
+        axes.legend(fontsize="small")
+    return figure
+
+
+def feature_names(experiment: Experiment) -> list[str]:
     """VA 1, VA 2, PS 1, … in the order of the features."""
     names, counts = [], {"VA": 0, "PS": 0}
     for form in experiment.forms:

@@ -1,18 +1,22 @@
 """Stacked particles: the three likelihood backends agree, with the exact densities, and the filter works."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dopslam.slam.bp import geometry
+from dopslam.slam.bp import clouds, geometry, motion
+from dopslam.slam.bp.births import birth, order_for
 from dopslam.slam.bp.experiment import Experiment, draw
 from dopslam.slam.bp.likelihood import Constants, backend
 from dopslam.slam.bp.records import PAPER, Form
+from dopslam.slam.bp.rows import kernel_agent
 from dopslam.slam.bp.run import evaluate, run
-from dopslam.slam.bp.stacked import Stacked, _resampled_rows
+from dopslam.slam.bp.stacked import Stacked
 from dopslam.slam.bp.study import motion_of, start_box
+from dopslam.slam.bp.timing import crowded_step
 
 FORMS = [Form.LOS, Form.VA, Form.PS, Form.VA_AOD]
 
@@ -98,12 +102,47 @@ def test_resampling_keeps_the_weighted_mean():
     rows = rng.standard_normal((2, 3, 4, 20_000)).astype(np.float32)
     lam = rng.random((2, 4, 20_000)).astype(np.float32)
     keep = np.array([0, 3])
-    out = _resampled_rows(rng, rows, lam, keep)
-    assert out.shape == (2, 3, 2, 20_000)
+    out = np.full((2, 3, 3, 20_000), np.nan, np.float32)
+    clouds.resample_rows(rng, rows, lam, keep, out)
+    assert np.isnan(out[:, :, 2]).all() and np.isfinite(out[:, :, :2]).all()
+    out = out[:, :, :2]
     expected = (rows * lam[:, None]).sum(axis=3) / lam.sum(axis=2)[:, None]
     np.testing.assert_allclose(out.mean(axis=3), expected[:, :, keep], atol=2e-2)
     neighbors = (out[0, 0, 0, 1:] == out[0, 0, 0, :-1]).mean()
     assert neighbors < 0.01  # copies of one ancestor are not left side by side
+
+
+@pytest.mark.parametrize("form", [Form.VA, Form.PS, Form.VA_AOD])
+def test_birth_particles_have_the_moments_of_the_gaussian_birth(scene, form):
+    experiment, truth, scan, _ = scene
+    rng, size = np.random.default_rng(5), 100_000
+    place = truth.position[0] + 0.02 * rng.standard_normal((size, 3)) * [1, 1, 0]
+    agent = motion.particles(place, np.tile([0.65, 0.0, 0.0], (size, 1)), 0.0, 0.01 * rng.standard_normal(size))
+    parameters = replace(experiment.parameters, types=(form,))
+    m = int(np.flatnonzero(draw(experiment, np.random.default_rng(0))[2][0] == (3 if form == Form.PS else 1))[0])
+    out = np.empty((1, 3, 1, size), np.float32)
+    clouds.sample_births(rng, parameters, agent, scan, np.array([m]), out)
+    order = order_for(1, form)
+    covariance = np.ascontiguousarray(scan.covariance[m][order][:, order])
+    few = kernel_agent(agent[:2000])
+    _, mean, spread = birth(
+        int(form), 1, few, np.full(2000, 1 / 2000), experiment.anchor, scan.distance[m], scan.aoa[m], scan.aod[m],
+        covariance, np.linalg.inv(np.linalg.cholesky(covariance)), order,
+    )  # fmt: skip
+    deviation = np.sqrt(np.diag(spread)[:2])
+    assert (np.abs(out[0, :2, 0].mean(axis=1) - mean[:2]) < 0.25 * deviation).all()
+    np.testing.assert_allclose(out[0, :2, 0].std(axis=1), deviation, rtol=0.15)
+    assert out[0, 2, 0].mean() == pytest.approx(scan.amplitude[m], rel=0.01)
+
+
+def test_threads_do_not_change_the_result(monkeypatch):
+    filter_, state, scan = crowded_step(clouds._SMALL, 3, 6, "numba")
+    results = []
+    for cores in ({0}, {0, 1, 2}):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: cores)
+        results.append(filter_.step(np.random.default_rng(0), state, scan)[0])
+    np.testing.assert_array_equal(results[0].particles, results[1].particles)
+    np.testing.assert_array_equal(results[0].agent, results[1].agent)
 
 
 @pytest.mark.mc

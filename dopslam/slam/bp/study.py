@@ -82,17 +82,17 @@ def summary(results: Sequence[RunResult]) -> dict:
     """Figures of a study, ready for JSON: RMSE with interval and ratio to the bound, lost runs, map and types, time.
 
     RMSEs and bounds are root mean squares over runs and counted steps; the ratio is the mean over these steps of
-    RMSE_k/bound_k, its interval a bootstrap over runs. GOSPA and NEES are means over runs.
+    RMSE_k/bound_k, its interval a bootstrap over runs. GOSPA and NEES are means over runs. ``per_step`` has all steps.
     """
     scores, skip = [r.score for r in results], results[0].skip
-    squared = {
-        "position": np.array([s.position_error**2 for s in scores])[:, skip:],
-        "heading": np.array([s.heading_error**2 for s in scores])[:, skip:],
+    every = {
+        "rmse_position": np.array([s.position_error**2 for s in scores]),
+        "rmse_heading": np.array([s.heading_error**2 for s in scores]),
+        "bound_position": np.array([r.position_bound**2 for r in results]),
+        "bound_heading": np.array([r.heading_bound**2 for r in results]),
     }
-    limits = {
-        "position": np.array([r.position_bound**2 for r in results])[:, skip:],
-        "heading": np.array([r.heading_bound**2 for r in results])[:, skip:],
-    }
+    squared = {name: every[f"rmse_{name}"][:, skip:] for name in ("position", "heading")}
+    limits = {name: every[f"bound_{name}"][:, skip:] for name in squared}
     rmse = {name: interval(values.mean(axis=1)) for name, values in squared.items()}
     lowest = {name: float(np.sqrt(values.mean())) for name, values in limits.items()}
     ratio = {name: rmse_over_bound(squared[name], limits[name]) for name in squared}
@@ -102,8 +102,7 @@ def summary(results: Sequence[RunResult]) -> dict:
     below = [np.flatnonzero(column < 0.9) for column in belief.T]
     seconds = float(np.median([r.seconds_per_step for r in results]))
     gospa = {kind: np.array([getattr(s, f"gospa_{kind}") for s in scores]) for kind in ("va", "sp")}
-    steps = {f"rmse_{name}": np.sqrt(values.mean(axis=0)).tolist() for name, values in squared.items()}
-    steps |= {f"bound_{name}": np.sqrt(values.mean(axis=0)).tolist() for name, values in limits.items()}
+    steps = {name: np.sqrt(values.mean(axis=0)).tolist() for name, values in every.items()}
     steps |= {f"gospa_{kind}_m": values[..., 0].mean(axis=0).tolist() for kind, values in gospa.items()}
     steps |= {"nees": np.mean([s.nees for s in scores], axis=0).tolist(), "type_belief_true": belief.tolist()}
     return {
