@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from dopslam.errors import FilterError
 from dopslam.slam.loopy import exact_association, loopy_association
+from dopslam.slam.loopy_study import error_distribution
 
 
 def enumerate_marginals(missed, detected, new):
@@ -114,3 +115,16 @@ def test_errors_name_the_remedy():
         loopy_association(np.zeros(2), np.zeros((3, 2)), np.zeros(2))
     with pytest.raises(FilterError, match="NaN"):
         loopy_association(np.zeros(1), np.full((1, 1), np.nan), np.zeros(1))
+
+
+def test_error_distribution_repeats_and_covers_what_it_says():
+    first, second = error_distribution(40), error_distribution(40)
+    assert first.table() == second.table()
+    table = first.table()
+    assert len(table) == 4
+    for row in table.values():
+        assert row["cases"] == 40 and row["unconverged"] == 0
+        assert row["quantile_0.5"] <= row["quantile_0.9"] <= row["quantile_1"] < 0.5
+        assert row["likeliest_differs"] < 0.05
+    medians = [row["quantile_0.5"] for row in table.values()]
+    assert medians[1] < 1e-2 < max(medians[2:])  # features far apart hardly compete, close ones do
