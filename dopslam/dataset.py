@@ -26,6 +26,7 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
+from dopslam.columns import chunk_shape, digest, read, stream_digest, texts
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.schema import UNITS, annotate, is_scale, plain, set_text
 
@@ -123,18 +124,6 @@ def _check_schema(path: Path, file: h5py.File) -> None:
         )
 
 
-def _digest(columns: dict[str, np.ndarray], scalars: dict[str, Any]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(columns):
-        array = np.ascontiguousarray(columns[name])
-        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
-        text = array.dtype.kind == "O"
-        digest.update(array.reshape(-1).view(np.uint8) if not text else "\0".join(map(str, array)).encode())
-    for name in sorted(scalars):
-        digest.update(f"{name}={scalars[name]!r};".encode())
-    return digest.hexdigest()
-
-
 def _split(record) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     columns, scalars = {}, {}
     for field in dataclasses.fields(record):
@@ -150,7 +139,7 @@ def _split(record) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def content_hash(record) -> str:
     """sha256 of a record's content: names, types, shapes and values of its fields, independent of time and host."""
-    return _digest(*_split(record))
+    return digest(*_split(record))
 
 
 def write_record(
@@ -201,15 +190,20 @@ def _write_group(file: h5py.File, group: str, record) -> None:
     node = file.create_group(group)
     columns, scalars = _split(record)
     set_text(node, "record", type(record).__name__)
-    set_text(node, "sha256", _digest(columns, scalars))
+    set_text(node, "sha256", digest(columns, scalars))
     for name, value in scalars.items():
         _set_attribute(node, name, value)
     for name, array in columns.items():
-        if array.dtype.kind == "O":  # of fixed length, as the attributes
-            encoded = [str(text).encode() for text in array]
-            array = np.array(encoded, dtype=h5py.string_dtype("utf-8", max([1, *map(len, encoded)])))
-        dataset = node.create_dataset(name, data=array, **({"fletcher32": True} if array.size else {}))
+        text = array.dtype.kind == "O"
+        if text:  # of fixed length, as the attributes; Octave reads no other encoding than ASCII
+            encoded = [str(word).encode() for word in array]
+            encoding = "ascii" if all(word.isascii() for word in encoded) else "utf-8"
+            array = np.array(encoded, dtype=h5py.string_dtype(encoding, max([1, *map(len, encoded)])))
+        layout: dict[str, Any] = {"fletcher32": True, "chunks": chunk_shape(array)} if array.size else {}
+        dataset = node.create_dataset(name, data=array, **layout)
         set_text(dataset, "units", UNITS.get(name, "1"))
+        if text:  # by which xarray knows that the bytes are a text
+            set_text(dataset, "_Encoding", "utf-8")
     annotate(node, type(record).__name__)
 
 
@@ -218,13 +212,6 @@ def _set_attribute(node, name: str, value: Any) -> None:
         set_text(node, name, value)
     else:
         node.attrs[name] = value
-
-
-def _texts(array: np.ndarray) -> np.ndarray:
-    """Texts as an object array of str; other arrays as they are."""
-    if array.dtype.kind not in "OS":
-        return array
-    return np.array([v.decode() if isinstance(v, bytes) else str(v) for v in array], dtype=object)
 
 
 def read_record(path: str | Path, group: str, record_type: type[Record]) -> Record:
@@ -245,12 +232,10 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
         raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); run the stage that makes it first")
     node = file[group]
     values: dict[str, Any] = {}
-    columns, scalars = {}, {}
+    names, scalars = [], {}
     for field in dataclasses.fields(record_type):  # type: ignore[arg-type]
         if field.name in node:
-            array = _texts(node[field.name][()])
-            columns[field.name] = array
-            values[field.name] = array.astype(str) if array.dtype.kind == "O" else array
+            names.append(field.name)
         elif field.name in node.attrs:
             scalars[field.name] = values[field.name] = plain(node.attrs[field.name])
         elif field.default is not dataclasses.MISSING:
@@ -259,8 +244,13 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
             values[field.name] = None
         else:
             raise DatasetError(f"{path}: {group}/{field.name} is missing; the group is not a {record_type.__name__}")
-    if "sha256" in node.attrs and plain(node.attrs["sha256"]) != _digest(columns, scalars):
-        raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
+    if "sha256" in node.attrs:
+        columns, found = read(node, names, scalars)
+        if plain(node.attrs["sha256"]) != found:
+            raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
+    else:
+        columns = {name: texts(node[name][()]) for name in names}
+    values |= {name: array.astype(str) if array.dtype.kind == "O" else array for name, array in columns.items()}
     try:
         return record_type(**values)
     except DopslamError as error:
@@ -296,7 +286,7 @@ def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) 
         if "signal" in file:
             del file["signal"]
         node = file.create_group("signal")
-        dataset, digest = None, hashlib.sha256()
+        dataset, sha = None, hashlib.sha256()
         for step, y in enumerate(itertools.chain([] if first is None else [first], snapshots)):
             if dataset is None:
                 dataset = node.create_dataset(
@@ -304,9 +294,9 @@ def write_signal(path: str | Path, snapshots: Iterable[np.ndarray], steps: int) 
                 )
                 set_text(dataset, "units", UNITS["y"])
             dataset[step] = y
-            digest.update(np.ascontiguousarray(y, np.complex64).tobytes())
+            sha.update(np.ascontiguousarray(y, np.complex64).tobytes())
         set_text(node, "record", "Signal")
-        set_text(node, "sha256", digest.hexdigest())
+        set_text(node, "sha256", sha.hexdigest())
         annotate(node, "Signal")
 
 
@@ -364,17 +354,11 @@ def verify_group(path: str | Path, group: str) -> str:
     with _reading(Path(path)) as file:
         node = file[group]
         if group == "signal":
-            digest = hashlib.sha256()
-            for step in range(node["y"].shape[0]):
-                digest.update(node["y"][step].tobytes())
-            found = digest.hexdigest()
+            found = stream_digest(node["y"])
         else:
-            columns = {}
-            for name in node:
-                if not is_scale(node, name):
-                    columns[name] = _texts(node[name][()])
-            attributes = {k: plain(v) for k, v in node.attrs.items()}
-            found = _digest(columns, {k: v for k, v in attributes.items() if k not in ("record", "sha256")})
+            names = [name for name in node if not is_scale(node, name)]
+            scalars = {k: plain(v) for k, v in node.attrs.items() if k not in ("record", "sha256")}
+            _, found = read(node, names, scalars)
         stated = plain(node.attrs.get("sha256"))
         if stated is not None and stated != found:
             raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
