@@ -5,6 +5,8 @@ experiment.
 python scripts/reproduce_bp_slam.py --runs 100 --jobs 2 --out results/bp_slam
 
 Cases can be run one after the other: results.json keeps those of earlier calls, and the figures show what it holds.
+Fig. 4 over the traced courtyard: of one run by --dataset (a file with slam and bound done, as `dopslam run courtyard`
+leaves it), over several seeds by scripts/traced_study.py.
 """
 
 from __future__ import annotations
@@ -16,7 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dopslam import stages
+from dopslam.report import study_figures
 from dopslam.report.bp_figures import association_errors, belief_map, errors_over_time, feature_names, type_beliefs
+from dopslam.report.figures import errors_over_time as traced_errors
 from dopslam.report.figures import save_all
 from dopslam.report.folder import write_json
 from dopslam.slam.bp.cases import CASES, run_case
@@ -35,6 +40,7 @@ def main() -> None:
     parser.add_argument("--particles", type=int, help="instead of each case's own number")
     parser.add_argument("--cases", nargs="*", choices=list(CASES), default=[n for n in CASES if n != "stacked"])
     parser.add_argument("--out", type=Path, default=Path("results/bp_slam"))
+    parser.add_argument("--dataset", type=Path, help="a traced dataset whose errors and map are drawn as well")
     options = parser.parse_args()
     started = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -67,7 +73,22 @@ def main() -> None:
             "fig4ab_errors": errors_over_time(shown),
             "fig4c_map": belief_map(case.experiment, truth, history, case.types),
         }
+    if options.dataset is not None:
+        figures |= traced(options.dataset)
     save_all(options.out, figures)
+
+
+def traced(path: Path) -> dict:
+    """Fig. 4 of belief propagation on a traced dataset."""
+    name = stages.variant_name("bp", False)
+    _, evaluations = stages.evaluate(path)
+    if name not in evaluations:
+        raise SystemExit(f"{path}: no belief propagation in it; run dopslam slam {path} --filter bp first")
+    track, landmarks, _, plan = stages.read_truth(path)
+    return {
+        "fig4ab_traced_errors": traced_errors(evaluations[name]),
+        "fig4c_traced_map": study_figures.belief_map(plan, track, landmarks, stages.histories(path)[name]),
+    }
 
 
 if __name__ == "__main__":
