@@ -24,6 +24,7 @@ from dopslam.report.bp_figures import association_errors, belief_map, errors_ove
 from dopslam.report.figures import errors_over_time as traced_errors
 from dopslam.report.figures import save_all
 from dopslam.report.folder import write_json
+from dopslam.slam.bp import range_study
 from dopslam.slam.bp.cases import CASES, run_case
 from dopslam.slam.bp.experiment import draw
 from dopslam.slam.bp.run import run
@@ -39,6 +40,9 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="worker processes; the numbers are the same for any")
     parser.add_argument("--particles", type=int, help="instead of each case's own number")
     parser.add_argument("--cases", nargs="*", choices=list(CASES), default=[n for n in CASES if n != "stacked"])
+    parser.add_argument(
+        "--range-only", type=int, default=0, metavar="RUNS", help="of the distance-only setting as well"
+    )
     parser.add_argument("--out", type=Path, default=Path("results/bp_slam"))
     parser.add_argument("--dataset", type=Path, help="a traced dataset whose errors and map are drawn as well")
     options = parser.parse_args()
@@ -57,6 +61,18 @@ def main() -> None:
             f"orientation {line['orientation_rmse_deg']:.3f}°  lost {line['diverged']}  ghosts {line['ghost_runs']}  "
             f"found all {line['found_all_runs']}/{line['runs']}  false {line['false_features']:.2f}  "
             f"types {min(line['type_belief_true']):.3f}  {1e3 * line['seconds_per_step']:.1f} ms/step",
+            flush=True,
+        )
+    if options.range_only:
+        found = range_study.study(options.range_only, options.seed, options.particles or range_study.PARTICLES)
+        tables["range_only"] = line = range_study.summary(found)
+        write_json(stored, tables)
+        low, high = line["position_rmse_interval_m"]
+        print(
+            f"[{time.perf_counter() - started:6.0f} s] range_only position {line['position_rmse_m']:.4f} m "
+            f"({low:.4f}-{high:.4f}, bound {line['position_bound_m']:.4f})  worst {line['worst_run_m']:.3f}  "
+            f"found {line['features_found']:.1f} of {line['features']}, all in {line['found_all_runs']} runs  "
+            f"false {line['false_features']:.2f}  {1e3 * line['seconds_per_step']:.1f} ms/step",
             flush=True,
         )
     loopy = error_distribution()

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dopslam.errors import FilterError
 from dopslam.slam.bp import range_kernels as kernels
+from dopslam.slam.bp import range_study
 from dopslam.slam.bp.range_only import RangeMap, RangeOnly, RangeParameters, RangeState
 from dopslam.slam.bp.range_scene import bound, office
 
@@ -18,7 +20,9 @@ def mixture(rng, particles=700):
     mean = np.float32(places[:, :, None] + 0.1 * rng.standard_normal((4, 2, particles)))
     covariance = np.array([[0.02, 0.003, 0.01], [0.5, 0.1, 0.4], [0.05, 0.0, 0.9], [0.1, -0.05, 0.1]])
     agent = np.float32(0.2 * rng.standard_normal((2, particles)))
-    return agent, first, np.array([1.0, 0.5, 0.3, 0.2]), mean, covariance
+    share = np.float32(rng.random((4, particles)) + 0.2)
+    share[0], share[1:] = 1, share[1:] / share[1:].sum(axis=0)
+    return agent, first, share, mean, covariance
 
 
 def test_condition_is_the_kalman_update_averaged_over_associations():
@@ -27,13 +31,12 @@ def test_condition_is_the_kalman_update_averaged_over_associations():
     particles = agent.shape[1]
     z, coefficient = np.array([2.3, 6.2, 3.4]), np.array([[2.0, 0.0, 0.5], [0.0, 1.5, 3.0]])
     missed, variance, prior = 0.05, 0.0144, np.full(particles, 1 / particles)
-    before = mean.astype(float)
-    lam, by_component = np.empty((2, particles), np.float32), np.empty((4, particles), np.float32)
+    before, old, lam = mean.astype(float), weight.astype(float), np.empty((2, particles), np.float32)
     sums = np.zeros((4, 4))
     for a, b in ((0, 300), (300, particles)):
         kernels.condition(
             agent, first, weight, mean, covariance, 0, z, coefficient, np.float32(missed), np.float32(variance),
-            np.float32(prior), a, b, lam, by_component, sums,
+            np.float32(prior), a, b, lam, sums,
         )  # fmt: skip
     for c, k in enumerate([0, 1, 1, 1]):
         p = np.array([[covariance[c, 0], covariance[c, 1]], [covariance[c, 1], covariance[c, 2]]])
@@ -46,43 +49,47 @@ def test_condition_is_the_kalman_update_averaged_over_associations():
         share = likelihood / total
         gain = p @ e / s
         shift = (share * (z[:, None] - d)).sum(axis=0)
-        np.testing.assert_allclose(by_component[c], total, rtol=2e-3)
+        np.testing.assert_allclose(weight[c], old[c] * total, rtol=2e-3)
         np.testing.assert_allclose(mean[c], before[c] + gain * shift, atol=2e-4)
         second = (share * (z[:, None] - d - shift) ** 2).sum(axis=0) - share.sum(axis=0) * s
-        change = np.einsum("ai,bi,i->abi", gain, gain, second) @ (total * prior) / (total @ prior)
+        change = np.einsum("ai,bi,i->abi", gain, gain, second) @ (old[c] * total) / (old[c] @ total)
         np.testing.assert_allclose(sums[c, 1:] / sums[c, 0], change[[0, 0, 1], [0, 1, 1]], rtol=2e-2, atol=2e-4)
-    np.testing.assert_allclose(lam, np.add.reduceat(weight[:, None] * by_component, first[:-1], axis=0), rtol=1e-4)
+    np.testing.assert_allclose(lam, np.add.reduceat(weight, first[:-1], axis=0), rtol=1e-4)
 
 
 def test_predicted_moments_are_those_of_the_sample():
     rng = np.random.default_rng(2)
-    agent, _, _, mean, covariance = mixture(rng)
+    agent, _, share, mean, covariance = mixture(rng)
     chosen = np.arange(0, agent.shape[1], 7)
     weight = rng.random(chosen.size)
     weight /= weight.sum()
-    center, spread = kernels.predicted(agent, weight, chosen, mean, 1e-12 * covariance)
+    mass, center, spread = kernels.predicted(agent, weight, chosen, share, mean, 1e-12 * covariance)
+    joint = weight * share[:, chosen]
     d = np.linalg.norm(mean[:, :, chosen] - agent[:, chosen], axis=1)
-    np.testing.assert_allclose(center, d @ weight, rtol=1e-5)
-    np.testing.assert_allclose(spread, (d - center[:, None]) ** 2 @ weight, rtol=1e-3)
+    np.testing.assert_allclose(mass, joint.sum(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(center, (joint * d).sum(axis=1) / mass, rtol=1e-5)
+    np.testing.assert_allclose(spread, (joint * (d - center[:, None]) ** 2).sum(axis=1) / mass, rtol=1e-3)
 
 
 def test_merging_keeps_mean_and_covariance_and_follows_the_ancestors():
     rng = np.random.default_rng(3)
-    _, _, _, mean, covariance = mixture(rng, 50)
+    _, _, share, mean, covariance = mixture(rng, 50)
     mean[1:] = mean[1:2] + 0.01 * np.arange(3)[:, None, None]
-    weight, center = np.array([0.5, 0.3, 0.2]), mean[1:].mean(axis=2)
-    group, count = kernels.groups(weight, center, covariance[1:2].repeat(3, axis=0), 1e-6, 0.1)
+    lam = np.float32(rng.uniform(0.5, 2, 50))
+    mass, center = share[1:].mean(axis=1), mean[1:].mean(axis=2)
+    spread = covariance[1:2].repeat(3, axis=0)
+    group, count = kernels.groups(mass, center, spread, 1e-6, 0.1)
     assert count == 1 and (group == 0).all()
     ancestors = rng.integers(0, 50, 50)
-    out = np.empty((1, 2, 50), np.float32)
-    share, merged = kernels.merged(
-        weight, center, covariance[1:2].repeat(3, axis=0), group, count, mean[1:], ancestors, out
+    out, out_share = np.empty((1, 2, 50), np.float32), np.empty((1, 50), np.float32)
+    result = kernels.merged(
+        mass, center, spread, group, count, share[1:] * lam, mean[1:], lam, ancestors, out_share, out
     )
-    assert share[0] == pytest.approx(1)
-    np.testing.assert_allclose(out[0], np.einsum("c,can->an", weight, mean[1:])[:, ancestors], rtol=1e-5)
-    spread = np.cov(center.T, aweights=weight, ddof=0)
-    np.testing.assert_allclose(merged[0], covariance[1] + spread[[0, 0, 1], [0, 1, 1]], rtol=1e-4)
-    far, count = kernels.groups(weight, center * 100, covariance[1:2].repeat(3, axis=0), 0.25, 0.1)
+    np.testing.assert_allclose(out_share, 1, rtol=1e-6)
+    np.testing.assert_allclose(out[0], np.einsum("cn,can->an", share[1:], mean[1:])[:, ancestors], rtol=1e-4)
+    between = np.cov(center.T, aweights=mass, ddof=0)
+    np.testing.assert_allclose(result[0], covariance[1] + between[[0, 0, 1], [0, 1, 1]], rtol=1e-4)
+    far, count = kernels.groups(np.array([0.5, 0.3, 0.2]), center * 100, spread, 0.25, 0.1)
     assert count == 2 and far[2] == -1  # the lightest lies below the floor
 
 
@@ -96,7 +103,7 @@ def test_known_agent_and_certain_association_is_the_kalman_filter():
     start = RangeMap(
         np.array([1.0, 1.0]),
         np.array([0, 1, 2]),
-        np.ones(2),
+        np.ones((2, 30), np.float32),
         means,
         np.array([known, covariance]),
         0.0,
@@ -159,18 +166,24 @@ def test_bound_is_below_the_single_step_error_of_two_anchors():
     assert limit[-1] < limit[0]
 
 
+def test_study_depends_on_seed_and_run_only():
+    scene = office(6)
+    first, second = (range_study.study(2, 3, 60, scenario=scene, jobs=jobs) for jobs in (1, 1))
+    np.testing.assert_array_equal(first[1].position_error, second[1].position_error)
+    alone = range_study.one_run(scene, RangeParameters(), 60, (3, 1))
+    np.testing.assert_array_equal(alone.position_error, first[1].position_error)
+    table = range_study.summary(first, scenario=scene)
+    assert table["features"] == 11 and table["runs"] == 2
+    assert table["position_rmse_m"] == pytest.approx(
+        np.sqrt(np.mean([first[0].position_error ** 2, first[1].position_error ** 2]))
+    )
+    with pytest.raises(FilterError, match="runs"):
+        range_study.study(0)
+
+
 @pytest.mark.mc
 def test_office_is_mapped_from_distances_alone():
-    """One run with 1000 particles (about 6 s); the study's figure is 0.05 m."""
-    scene, p = office(), RangeParameters()
-    scans = scene.draw(np.random.default_rng([0, 0]), p)
-    filter_, rng = RangeOnly(p), np.random.default_rng([0, 1])
-    state = filter_.init(rng, scene.anchors, scene.track[0], 1000)
-    errors = []
-    for k, scan in enumerate(scans):
-        state, info = filter_.step(rng, state, scan)
-        errors.append(info.position - scene.track[k])
-    assert np.sqrt(np.mean(np.sum(np.square(errors), axis=1))) < 0.09
-    for truth, found in zip(scene.features, info.features, strict=True):
-        gaps = np.linalg.norm(truth[:, None] - found, axis=2)
-        assert (gaps.min(axis=1) < 0.5).all() and (gaps.min(axis=0) < 0.5).all()
+    """One run with 1000 particles (about 10 s); the study has 10,000."""
+    result = range_study.one_run(office(), RangeParameters(), 1000, (1, 0))
+    assert result.position_rmse < 0.09
+    assert sum(result.found) >= 10 and sum(result.false) <= 1

@@ -1,8 +1,8 @@
-"""Compiled kernels of the distance-only filter: Gaussian mixtures in the plane whose means every agent particle carries.
+"""Compiled kernels of the distance-only filter: Gaussian mixtures in the plane that every agent particle carries.
 
 Arrays: ``agent`` (2, N) positions; C components of all features one behind the other, feature k owns
-``first[k]:first[k + 1]``; ``mean`` (C, 2, N) single precision, given the particle's trajectory; ``covariance`` (C, 3) = xx,
-xy, yy, common to the particles. A distance is linearized at the component's mean; its variance is σ² + eᵀPe.
+``first[k]:first[k + 1]``; ``weight`` (C, N) and ``mean`` (C, 2, N), single precision, given the particle's trajectory, the
+weights of a feature sum to 1 for every particle; ``covariance`` (C, 3) = xx, xy, yy, common to the particles. A distance is linearized at the component's mean; its variance is σ² + eᵀPe.
 """
 
 from __future__ import annotations
@@ -25,34 +25,37 @@ def _vectorized(function):
 
 
 @_vectorized
-def predicted(agent, weight, chosen, mean, covariance):
-    """Mean and variance (C,) of the components' distances over some particles, without measurement noise."""
+def predicted(agent, share, chosen, weight, mean, covariance):
+    """Weight, mean and variance (C,) of the components' distances over the ``chosen`` particles with weights ``share``,
+    without measurement noise."""
     total = len(mean)
-    center, spread = np.empty(total), np.empty(total)
+    mass, center, spread = np.empty(total), np.empty(total), np.empty(total)
     for c in range(total):
-        s1, s2, mapped = 0.0, 0.0, 0.0
+        s0, s1, s2, mapped = 1e-30, 0.0, 0.0, 0.0
         for j in range(chosen.size):
             i = chosen[j]
+            w = share[j] * weight[c, i]
             dx, dy = mean[c, 0, i] - agent[0, i], mean[c, 1, i] - agent[1, i]
             squared = dx * dx + dy * dy + 1e-20
             d = np.sqrt(squared)
-            s1 += weight[j] * d
-            s2 += weight[j] * squared
+            s0 += w
+            s1 += w * d
+            s2 += w * squared
             form = covariance[c, 0] * dx * dx + 2 * covariance[c, 1] * dx * dy + covariance[c, 2] * dy * dy
-            mapped += weight[j] * form / squared
-        center[c], spread[c] = s1, max(s2 - s1 * s1, 0.0) + mapped
-    return center, spread
+            mapped += w * form / squared
+        mass[c], center[c] = s0, s1 / s0
+        spread[c] = max(s2 / s0 - center[c] * center[c], 0.0) + mapped / s0
+    return mass, center, spread
 
 
 @_vectorized
 def condition(
-    agent, first, weight, mean, covariance, held, z, coefficient, missed, variance, prior, start, stop, lam, by_component,
-    sums,
+    agent, first, weight, mean, covariance, held, z, coefficient, missed, variance, prior, start, stop, lam, sums
 ):  # fmt: skip
-    """Messages and conditional updates of all components for particles ``start`` to ``stop``; changes mean in place.
+    """Messages and conditional updates of all components for particles ``start`` to ``stop``; changes weight and mean.
 
-    λ_k(i) = Σ_c w_c λ_c(i), λ_c(i) = missed + Σ_m coefficient_km N(z_m; d_c(i), σ² + eᵀPe) into ``lam`` (K, N) and
-    ``by_component`` (C, N). A component's mean moves to that of its posterior over missed and all measurements;
+    λ_k(i) = Σ_c w_c(i) λ_c(i), λ_c(i) = missed + Σ_m coefficient_km N(z_m; d_c(i), σ² + eᵀPe), into ``lam`` (K, N). Weights
+    become w_c λ_c, which sum to λ_k. A component's mean moves to that of its posterior over missed and all measurements;
     ``sums`` (C, 4) collects the weight and the change of the covariance, weighted with ``prior`` (N,). The first
     ``held`` features, known ones, are not updated.
     """
@@ -108,11 +111,10 @@ def condition(
                         total[i] += value
                         s1[i] += value * e
                         s2[i] += value * e * e
-                share = np.float32(weight[c])
-                out = by_component[c, begin : begin + n]
+                share = weight[c, begin : begin + n]
                 for i in range(n):
-                    row[i] += share * total[i]
-                    out[i] = total[i]
+                    share[i] *= total[i]
+                    row[i] += share[i]
                 if k < held:
                     continue
                 w, xx, xy, yy = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
@@ -125,7 +127,7 @@ def condition(
                     my[i] += uy[i] * gain
                     # P − K(S·share − spread)Kᵀ with K = Pe/S
                     change = (s2[i] * reciprocal - mid * mid) * inverse[i] - (one - missed * reciprocal)
-                    f = own[i] * total[i]
+                    f = own[i] * share[i]
                     w += f
                     f *= change * inverse[i]
                     xx += f * ux[i] * ux[i]
@@ -160,36 +162,50 @@ def groups(weight, center, covariance, floor, near):
 
 
 @_vectorized
-def merged(weight, center, covariance, group, count, mean, ancestors, out_mean):
-    """Weights (G,) and covariances (G, 3) of the groups; their means of the particles ``ancestors`` into ``out_mean``."""
+def merged(mass, center, covariance, group, count, weight, mean, lam, ancestors, out_weight, out_mean):
+    """Covariances (G, 3) of the groups; their weights and means of the particles ``ancestors`` into ``out_weight`` (G, N)
+    and ``out_mean`` (G, 2, N).
+
+    weight (C, N) as :func:`condition` leaves them, lam (N,) their sums; mass (C,), center (C, 2) : averages over particles
+    """
+    size = ancestors.size
     own, middle, out = np.zeros(count), np.zeros((count, 2)), np.zeros((count, 3))
-    for c in range(len(weight)):
+    for c in range(len(mass)):
         g = group[c]
         if g >= 0:
-            own[g] += weight[c]
-            middle[g, 0] += weight[c] * center[c, 0]
-            middle[g, 1] += weight[c] * center[c, 1]
+            own[g] += mass[c]
+            middle[g, 0] += mass[c] * center[c, 0]
+            middle[g, 1] += mass[c] * center[c, 1]
     for g in range(count):
         middle[g, 0] /= own[g]
         middle[g, 1] /= own[g]
-        for i in range(ancestors.size):
+        for i in range(size):
+            out_weight[g, i] = 0
             out_mean[g, 0, i] = 0
             out_mean[g, 1, i] = 0
-    for c in range(len(weight)):
+    # A trace of the average keeps a component where a particle gives it no weight at all.
+    for c in range(len(mass)):
         g = group[c]
         if g < 0:
             continue
-        share = weight[c] / own[g]
-        single = np.float32(share)
-        for i in range(ancestors.size):
+        trace = np.float32(1e-6 * mass[c] + 1e-30)
+        for i in range(size):
             j = ancestors[i]
-            out_mean[g, 0, i] += single * mean[c, 0, j]
-            out_mean[g, 1, i] += single * mean[c, 1, j]
+            w = weight[c, j] / lam[j] + trace
+            out_weight[g, i] += w
+            out_mean[g, 0, i] += w * mean[c, 0, j]
+            out_mean[g, 1, i] += w * mean[c, 1, j]
+        share = mass[c] / own[g]
         dx, dy = center[c, 0] - middle[g, 0], center[c, 1] - middle[g, 1]
         out[g, 0] += share * (covariance[c, 0] + dx * dx)
         out[g, 1] += share * (covariance[c, 1] + dx * dy)
         out[g, 2] += share * (covariance[c, 2] + dy * dy)
-    total = own.sum()
-    for g in range(count):
-        own[g] /= total
-    return own, out
+    for i in range(size):
+        total = np.float32(0)
+        for g in range(count):
+            total += out_weight[g, i]
+            out_mean[g, 0, i] /= out_weight[g, i]
+            out_mean[g, 1, i] /= out_weight[g, i]
+        for g in range(count):
+            out_weight[g, i] /= total
+    return out

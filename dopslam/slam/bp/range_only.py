@@ -6,9 +6,9 @@ p_D = 0.95 among one false alarm per anchor. A single distance leaves a feature 
 therefore a mixture of Gaussians, born around the ring and pruned and merged as the agent moves; given a particle of the
 agent each Gaussian is updated in closed form.
 
-The means are those *given the particle's trajectory* and travel with it through the resampling; mixture weights,
-covariances and existence are common to all particles, data association is loopy and uses Gaussian moments as the
-published code does. With one mean for all particles, or with stacked particles of agent and features that are resampled
+Weights and means are those *given the particle's trajectory* and travel with it through the resampling; covariances and
+existence are common to all particles, data association is loopy and uses Gaussian moments as the published code does.
+With one mixture for all particles, or with stacked particles of agent and features that are resampled
 apart, a feature's belief forgets that all features share the agent's past errors: the map then locks to the first of
 them, and in this room the agent stays 0.08–0.2 m off, twice to four times the bound.
 
@@ -73,7 +73,7 @@ class RangeMap:
     """Features of one anchor; feature 0 is the anchor itself, known.
 
     existence : (K,); first : (K + 1,) the features' first components
-    weight (C,), mean (C, 2, N) [m] per particle, covariance (C, 3) = xx, xy, yy [m²] of the components
+    weight (C, N), mean (C, 2, N) [m] per particle, covariance (C, 3) = xx, xy, yy [m²] of the components
     undetected : intensity of undetected features [1/m²]
     waiting : (Q, 3) distance [m], its variance and existence of features not confirmed yet
     """
@@ -120,7 +120,6 @@ class _Evaluated:
     association: Association
     birth_share: np.ndarray
     lam: np.ndarray
-    by_component: np.ndarray
     gamma: np.ndarray
 
 
@@ -141,7 +140,7 @@ class RangeOnly:
         known = np.array([[1.0, 0.0, 1.0]]) * _ANCHOR_DEVIATION**2
         maps = tuple(
             RangeMap(
-                np.ones(1), np.array([0, 1]), np.ones(1), np.repeat(np.float32(a)[None, :, None], size, axis=2), known,
+                np.ones(1), np.array([0, 1]), np.ones((1, size), np.float32), np.repeat(np.float32(a)[None, :, None], size, axis=2), known,
                 self.parameters.undetected / self.parameters.area, np.zeros((0, 3)),
             )
             for a in np.asarray(anchors)
@@ -190,8 +189,9 @@ class RangeOnly:
         # A waiting distance may change by as much as the agent moves.
         waiting[:, 1] += p.interval**2 * (agent[2:] ** 2).sum(axis=0).mean()
         chosen = np.arange(0, size, max(1, size // _EVIDENCE))
-        center, spread = kernels.predicted(agent[:2], prior[chosen] / prior[chosen].sum(), chosen, old.mean, covariance)
-        single = old.weight[:, None] * _normal(z, center, spread + p.filter_deviation**2)
+        share = prior[chosen] / prior[chosen].sum()
+        mass, center, spread = kernels.predicted(agent[:2], share, chosen, old.weight, old.mean, covariance)
+        single = mass[:, None] * _normal(z, center, spread + p.filter_deviation**2)
         density = np.vstack(
             [
                 np.add.reduceat(single, old.first[:-1], axis=0) if z.size else np.zeros((len(existence), 0)),
@@ -209,7 +209,7 @@ class RangeOnly:
                 np.log(false_alarm + birth),
             )
         nu = np.where(association.marginal[:, 1:] > 1e-4, np.exp(association.log_nu), 0.0)[: len(existence)]
-        lam, by_component = np.empty((len(existence), size), np.float32), np.empty((len(old.weight), size), np.float32)
+        lam = np.empty((len(existence), size), np.float32)
         places, own = np.float32(agent[:2]), np.float32(prior)
         bounds = np.linspace(0, size, _PARTS + 1).astype(int)
         sums = np.zeros((_PARTS, len(old.weight), 4))
@@ -217,7 +217,7 @@ class RangeOnly:
             (
                 places, old.first, old.weight, old.mean, covariance, 1, z, nu * p.detection,
                 np.float32(1 - p.detection), np.float32(p.filter_deviation**2), own, *bounds[j : j + 2], lam,
-                by_component, sums[j],
+                sums[j],
             )
             for j in range(_PARTS)
         ])  # fmt: skip
@@ -225,8 +225,7 @@ class RangeOnly:
         covariance += np.divide(change[:, 1:], change[:, :1], out=np.zeros_like(covariance), where=change[:, :1] > 0)
         gamma = existence[:, None] * lam + 1 - existence[:, None]
         return _Evaluated(
-            z, existence, covariance, undetected, waiting, association, birth / (false_alarm + birth), lam,
-            by_component, gamma,
+            z, existence, covariance, undetected, waiting, association, birth / (false_alarm + birth), lam, gamma,
         )  # fmt: skip
 
     def _update(self, agent, weight, ancestors, old: RangeMap, new: _Evaluated) -> tuple[RangeMap, np.ndarray]:
@@ -237,42 +236,42 @@ class RangeOnly:
         evidence = (extrinsic * new.lam).sum(axis=1)
         existence = new.existence * evidence / (new.existence * evidence + 1 - new.existence)
         existence[0] = 1.0
-        center = old.mean @ np.float32(weight)
         keep = np.flatnonzero(existence > p.pruning_threshold)
         grouped = []
         for k in keep:
             rows = slice(old.first[k], old.first[k + 1])
-            mass = old.weight[rows] * (new.by_component[rows] @ np.float32(extrinsic[k]))
+            posterior = old.weight[rows] * np.float32(weight / new.lam[k])
+            mass = posterior.sum(axis=1)
+            center = np.einsum("can,cn->ca", old.mean[rows], posterior) / np.maximum(mass, 1e-30)[:, None]
             mass /= mass.sum()
-            grouped.append((mass, rows, *kernels.groups(
-                mass, center[rows], new.covariance[rows], p.component_floor, p.component_distance
-            )))  # fmt: skip
+            groups = kernels.groups(mass, center, new.covariance[rows], p.component_floor, p.component_distance)
+            grouped.append((mass, center, rows, *groups))
         rings, waiting = self._births(new)
         counts = np.array([count for *_, count in grouped] + [_ring_size(z, p.sagitta) for z, _ in rings], int)
         first = np.concatenate([[0], np.cumsum(counts)])
-        mean = np.empty((first[-1], 2, size), np.float32)
-        merged = in_threads(kernels.merged, [
+        mean, share = np.empty((first[-1], 2, size), np.float32), np.empty((first[-1], size), np.float32)
+        covariance = in_threads(kernels.merged, [
             (
-                mass, center[rows], new.covariance[rows], group, count, old.mean[rows], ancestors,
-                mean[first[j] : first[j + 1]],
+                mass, center, new.covariance[rows], group, count, old.weight[rows], old.mean[rows], new.lam[k], ancestors,
+                share[first[j] : first[j + 1]], mean[first[j] : first[j + 1]],
             )
-            for j, (mass, rows, group, count) in enumerate(grouped)
+            for j, (k, (mass, center, rows, group, count)) in enumerate(zip(keep, grouped, strict=True))
         ])  # fmt: skip
-        declared = [
-            mean[first[j] + share.argmax()].mean(axis=1)
-            for j, (share, _) in enumerate(merged)
-            if existence[keep[j]] > p.detection_threshold
-        ]
+        declared = []
+        for j in np.flatnonzero(existence[keep] > p.detection_threshold):
+            rows = slice(first[j], first[j + 1])
+            best = first[j] + share[rows].mean(axis=1).argmax()
+            declared.append(mean[best] @ share[best] / share[best].sum())
         for j, (z, _) in enumerate(rings, start=len(keep)):
-            merged.append(
-                _ring(agent[:2, ancestors], z, counts[j], p.filter_deviation**2, mean[first[j] : first[j + 1]])
-            )
+            rows = slice(first[j], first[j + 1])
+            share[rows] = 1 / counts[j]
+            covariance.append(_ring(agent[:2, ancestors], z, counts[j], p.filter_deviation**2, mean[rows]))
         updated = RangeMap(
             np.r_[existence[keep], [r for _, r in rings]],
             first,
-            np.concatenate([m[0] for m in merged]),
+            share,
             mean,
-            np.concatenate([m[1] for m in merged]),
+            np.concatenate(covariance),
             (1 - p.detection) * new.undetected,
             waiting,
         )
@@ -306,14 +305,13 @@ def _ring_size(z: float, sagitta: float) -> int:
     return max(int(np.ceil(2 * np.pi * z / np.sqrt(2 * z * sagitta))), 8)
 
 
-def _ring(places: np.ndarray, z: float, count: int, variance: float, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Equal weights and covariances of a ring around every particle's place (2, N), whose means go into ``out``."""
+def _ring(places: np.ndarray, z: float, count: int, variance: float, out: np.ndarray) -> np.ndarray:
+    """Covariances of a ring around every particle's place (2, N), whose means go into ``out``."""
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     e = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     out[:] = places + z * e[:, :, None]
     along = (2 * np.pi * z / count) ** 2
     c, s = e.T
-    covariance = np.stack(
+    return np.stack(
         [variance * c**2 + along * s**2, (variance - along) * c * s, variance * s**2 + along * c**2], axis=1
     )
-    return np.full(count, 1 / count), covariance
