@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimation import (
+    CosinePattern,
     Detections,
     Esprit,
     ModelError,
@@ -25,6 +26,8 @@ from estimation import (
     unit_vectors,
     ura,
 )
+from estimation.estimators.projector import Projector
+from estimation.estimators.refine import information, linearize
 from estimation.evaluate import associate
 from estimation.scenarios import FRONT, Draw, at_snr, draw_paths, hybrid_link
 
@@ -230,3 +233,13 @@ def test_direction_covariance_stays_regular_near_the_pole():
     assert np.isfinite(covariance).all() and np.sqrt(np.trace(covariance)) < 0.05
     error = unit_vectors(detections.aoa[0]) - unit_vectors(path.aoa[0])
     assert np.linalg.norm(error) < 5 * np.sqrt(np.trace(covariance))
+
+
+def test_a_path_that_a_step_takes_behind_the_array_gets_no_gain(link):
+    """Paper B's courtyard: the planar array on the wall has nothing behind it, and the fit wandered there."""
+    model = replace(link, receiver=replace(link.receiver, pattern=CosinePattern()))
+    paths = PathTable([60e-9, 70e-9], [[0.4, 0.1], [np.pi, 0.0]], [[0.3, 0.0], [0.2, 0.0]], [0.0, 0.0], [1.0, 1.0])
+    signal = synthesize(model, paths, 1e-6, np.random.default_rng(0))
+    lin = linearize(Projector(model, signal, None), paths.geometry)
+    assert lin.gain[1] == 0 and abs(lin.gain[0] - 1) < 1e-3
+    assert np.isfinite(information(lin, model.active)).all() and np.isfinite(lin.drop()).all()
