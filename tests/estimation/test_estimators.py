@@ -242,4 +242,4 @@ def test_a_path_that_a_step_takes_behind_the_array_gets_no_gain(link):
     signal = synthesize(model, paths, 1e-6, np.random.default_rng(0))
     lin = linearize(Projector(model, signal, None), paths.geometry)
     assert lin.gain[1] == 0 and abs(lin.gain[0] - 1) < 1e-3
-    assert np.isfinite(information(lin, model.active)).all() and np.isfinite(lin.drop()).all()
+    assert np.isfinite(information(lin, model.active)).all() and np.isfinite(lin.drop).all()
