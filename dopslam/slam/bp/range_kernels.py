@@ -140,6 +140,26 @@ def condition(
 
 
 @_vectorized
+def averages(weight, mean, lam, share):
+    """Posterior mass (C,) and mean (C, 2) of one feature's components over the particles with weights ``share`` (N,);
+    weight (C, N) and lam (N,) as :func:`condition` leaves them."""
+    mass, center = np.empty(len(weight)), np.empty((len(weight), 2))
+    scale = np.empty(lam.size, np.float32)
+    for i in range(lam.size):
+        scale[i] = share[i] / lam[i]
+    for c in range(len(weight)):
+        s0, sx, sy = np.float32(1e-30), np.float32(0), np.float32(0)
+        x0, y0 = mean[c, 0, 0], mean[c, 1, 0]
+        for i in range(lam.size):
+            w = weight[c, i] * scale[i]
+            s0 += w
+            sx += w * (mean[c, 0, i] - x0)
+            sy += w * (mean[c, 1, i] - y0)
+        mass[c], center[c, 0], center[c, 1] = s0, x0 + sx / s0, y0 + sy / s0
+    return mass / mass.sum(), center
+
+
+@_vectorized
 def groups(weight, center, covariance, floor, near):
     """Component → group (C,), −1 for weights below ``floor``: a heavier component takes those with squared Mahalanobis
     distance below ``near``."""
@@ -183,29 +203,38 @@ def merged(mass, center, covariance, group, count, weight, mean, lam, ancestors,
             out_weight[g, i] = 0
             out_mean[g, 0, i] = 0
             out_mean[g, 1, i] = 0
+    scale, w, x, y = (
+        np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32),
+    )  # fmt: skip
+    for i in range(size):
+        scale[i] = 1 / lam[ancestors[i]]
     # A trace of the average keeps a component where a particle gives it no weight at all.
     for c in range(len(mass)):
         g = group[c]
         if g < 0:
             continue
         trace = np.float32(1e-6 * mass[c] + 1e-30)
-        for i in range(size):
+        for i in range(size):  # gathered apart: the sums below use vector instructions
             j = ancestors[i]
-            w = weight[c, j] / lam[j] + trace
-            out_weight[g, i] += w
-            out_mean[g, 0, i] += w * mean[c, 0, j]
-            out_mean[g, 1, i] += w * mean[c, 1, j]
+            w[i], x[i], y[i] = weight[c, j], mean[c, 0, j], mean[c, 1, j]
+        for i in range(size):
+            value = w[i] * scale[i] + trace
+            out_weight[g, i] += value
+            out_mean[g, 0, i] += value * x[i]
+            out_mean[g, 1, i] += value * y[i]
         share = mass[c] / own[g]
         dx, dy = center[c, 0] - middle[g, 0], center[c, 1] - middle[g, 1]
         out[g, 0] += share * (covariance[c, 0] + dx * dx)
         out[g, 1] += share * (covariance[c, 1] + dx * dy)
         out[g, 2] += share * (covariance[c, 2] + dy * dy)
-    for i in range(size):
-        total = np.float32(0)
-        for g in range(count):
-            total += out_weight[g, i]
-            out_mean[g, 0, i] /= out_weight[g, i]
-            out_mean[g, 1, i] /= out_weight[g, i]
-        for g in range(count):
-            out_weight[g, i] /= total
+    total = np.zeros(size, np.float32)
+    for g in range(count):
+        for i in range(size):
+            total[i] += out_weight[g, i]
+            inverse = np.float32(1) / out_weight[g, i]
+            out_mean[g, 0, i] *= inverse
+            out_mean[g, 1, i] *= inverse
+    for g in range(count):
+        for i in range(size):
+            out_weight[g, i] /= total[i]
     return out

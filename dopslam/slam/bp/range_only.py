@@ -30,6 +30,7 @@ from dopslam.slam.loopy import Association, loopy_association
 
 _EVIDENCE = 250  # particles behind the Gaussian moments of data association
 _PARTS = 2  # pieces that the particles are worked on in; fixed, so that sums do not depend on the machine
+_WORTH_THREADS = 1_000_000  # components times particles
 _ANCHOR_DEVIATION = 1e-3  # m
 
 
@@ -49,7 +50,7 @@ class RangeParameters:
     """
 
     deviation: float = 0.10
-    filter_deviation: float = 0.12
+    filter_deviation: float = 0.15
     detection: float = 0.95
     clutter: float = 1.0
     distance_end: float = 30.0
@@ -63,9 +64,9 @@ class RangeParameters:
     detection_threshold: float = 0.5
     pruning_threshold: float = 1e-4
     confirmation: float = 0.1
-    sagitta: float = 0.02
-    component_floor: float = 1e-6
-    component_distance: float = 0.1
+    sagitta: float = 0.04
+    component_floor: float = 1e-5
+    component_distance: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +162,7 @@ class RangeOnly:
             self._evaluate(agent, prior, old, np.asarray(distances, float))
             for old, distances in zip(state.maps, z, strict=True)
         ]
-        log_weight = state.log_weight + sum(np.log(e.gamma).sum(axis=0) for e in evaluated)
+        log_weight = state.log_weight + sum(np.log(e.gamma.prod(axis=0)) for e in evaluated)
         weight = normalized(log_weight)
         effective = effective_size(weight)
         position = agent[:2] @ weight
@@ -213,7 +214,7 @@ class RangeOnly:
         places, own = np.float32(agent[:2]), np.float32(prior)
         bounds = np.linspace(0, size, _PARTS + 1).astype(int)
         sums = np.zeros((_PARTS, len(old.weight), 4))
-        in_threads(kernels.condition, [
+        _threaded(len(old.weight) * size, kernels.condition, [
             (
                 places, old.first, old.weight, old.mean, covariance, 1, z, nu * p.detection,
                 np.float32(1 - p.detection), np.float32(p.filter_deviation**2), own, *bounds[j : j + 2], lam,
@@ -231,26 +232,22 @@ class RangeOnly:
     def _update(self, agent, weight, ancestors, old: RangeMap, new: _Evaluated) -> tuple[RangeMap, np.ndarray]:
         """The anchor's map with the agent's new weights; its declared features (D, 2), likeliest components."""
         p, size = self.parameters, agent.shape[1]
-        extrinsic = weight / new.gamma
-        extrinsic /= extrinsic.sum(axis=1, keepdims=True)
-        evidence = (extrinsic * new.lam).sum(axis=1)
+        extrinsic = 1 / new.gamma  # without the feature's own message
+        evidence = (extrinsic * new.lam) @ weight / (extrinsic @ weight)
         existence = new.existence * evidence / (new.existence * evidence + 1 - new.existence)
         existence[0] = 1.0
         keep = np.flatnonzero(existence > p.pruning_threshold)
-        grouped = []
+        grouped, single = [], np.float32(weight)
         for k in keep:
             rows = slice(old.first[k], old.first[k + 1])
-            posterior = old.weight[rows] * np.float32(weight / new.lam[k])
-            mass = posterior.sum(axis=1)
-            center = np.einsum("can,cn->ca", old.mean[rows], posterior) / np.maximum(mass, 1e-30)[:, None]
-            mass /= mass.sum()
+            mass, center = kernels.averages(old.weight[rows], old.mean[rows], new.lam[k], single)
             groups = kernels.groups(mass, center, new.covariance[rows], p.component_floor, p.component_distance)
             grouped.append((mass, center, rows, *groups))
         rings, waiting = self._births(new)
         counts = np.array([count for *_, count in grouped] + [_ring_size(z, p.sagitta) for z, _ in rings], int)
         first = np.concatenate([[0], np.cumsum(counts)])
         mean, share = np.empty((first[-1], 2, size), np.float32), np.empty((first[-1], size), np.float32)
-        covariance = in_threads(kernels.merged, [
+        covariance = _threaded(len(old.weight) * size, kernels.merged, [
             (
                 mass, center, new.covariance[rows], group, count, old.weight[rows], old.mean[rows], new.lam[k], ancestors,
                 share[first[j] : first[j + 1]], mean[first[j] : first[j + 1]],
@@ -292,6 +289,11 @@ class RangeOnly:
         rings = [(z, r) for z, _, r in waiting if r > p.confirmation]
         rest = [w for w in waiting if p.pruning_threshold < w[2] <= p.confirmation]
         return rings, np.array(rest).reshape(-1, 3)
+
+
+def _threaded(work: int, function, tasks: list[tuple]) -> list:
+    """:func:`in_threads` where the work, components times particles, is worth starting threads."""
+    return in_threads(function, tasks) if work > _WORTH_THREADS else [function(*task) for task in tasks]
 
 
 def _normal(z: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
