@@ -1,4 +1,4 @@
-"""Datasets for other programs: MATLAB, DeepMIMO v4, TUM trajectories, SigMF, CSV.
+"""Datasets for other programs: MATLAB, DeepMIMO v4, TUM trajectories, SigMF, CSV; and single drives for this one.
 
 Every function takes a dataset file or a folder made by ``dopslam dataset`` and writes a new folder whole or not at all.
 """
@@ -12,14 +12,15 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from dopslam import dataset
-from dopslam.config import Scenario, parse
-from dopslam.datasets import read_manifest
+from dopslam.config import Scenario
+from dopslam.datasets.parts import Part, parts_of, scenario_of
+from dopslam.drives import write_drive, write_drives
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
 from dopslam.tracks import Steps
@@ -28,72 +29,15 @@ MAX_PATHS = 25  # of a receiver, in DeepMIMO
 MAX_INTERACTIONS = 10  # of a path, in DeepMIMO
 
 
-@dataclass(frozen=True)
-class Part:
-    """One dataset file and the number of its first position."""
-
-    path: Path
-    first: int
-
-    def has(self, group: str) -> bool:
-        """Whether the file holds a record."""
-        return group in dataset.groups(self.path)
-
-    @property
-    def track(self) -> Track:
-        """The true track."""
-        return dataset.read_record(self.path, "track", Track)
-
-    @property
-    def steps(self) -> Steps:
-        """Drive and step of each position; a single file is one drive."""
-        if self.has("steps"):
-            return dataset.read_record(self.path, "steps", Steps)
-        track = self.track
-        number = np.arange(track.steps)
-        return Steps(number, np.zeros_like(number), number, np.tile(track.start, (track.steps, 1)))
-
-    @property
-    def landmarks(self) -> Landmarks:
-        """The landmarks that its paths refer to."""
-        return dataset.read_record(self.path, "landmarks", Landmarks)
-
-    @property
-    def paths(self) -> Paths:
-        """The traced paths."""
-        return dataset.read_record(self.path, "paths", Paths)
-
-
-def parts_of(source: str | Path) -> list[Part]:
-    """The files of a dataset in order.
-
-    Raises
-    ------
-    DatasetError
-        For a folder without a complete manifest.
-    """
-    source = Path(source)
-    if not source.is_dir():
-        return [Part(source, 0)]
-    manifest = read_manifest(source)
-    if not manifest.complete:
-        raise DatasetError(f"{source}: is not complete; finish it with 'dopslam dataset … --resume'")
-    return [Part(source / entry.file, entry.first) for entry in manifest.shards]
-
-
-def _scenario(parts: list[Part]) -> Scenario:
-    text, _ = dataset.read_root(parts[0].path)
-    return parse(text, source=str(parts[0].path))
-
-
-def export(source: str | Path, out: str | Path, kind: str) -> list[Path]:
+def export(source: str | Path, out: str | Path, kind: str, drive: int | None = None) -> list[Path]:
     """Write a dataset in another format; returns the files made.
 
     Parameters
     ----------
     source : dataset file or folder
     out : folder that must not exist yet
-    kind : ``mat``, ``deepmimo``, ``tum``, ``sigmf`` or ``csv``
+    kind : ``mat``, ``deepmimo``, ``tum``, ``sigmf``, ``csv``, or ``drives``: dataset files of one drive each
+    drive : number of the only drive that is wanted; ``drives`` alone
 
     Raises
     ------
@@ -103,11 +47,16 @@ def export(source: str | Path, out: str | Path, kind: str) -> list[Path]:
     out = Path(out)
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another folder with --out")
+    if drive is not None and kind != "drives":
+        raise DatasetError(f"--drive {drive}: goes with --to drives only")
     parts = parts_of(source)
     place = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
         place.mkdir(parents=True)
-        KINDS[kind](parts, place)
+        if drive is None:
+            KINDS[kind](parts, place)
+        else:
+            write_drive(parts, drive, place / f"drive-{drive:05d}.h5")
         os.replace(place, out)
     except OSError as error:
         raise DatasetError(f"{out}: cannot be written ({error.strerror or error})") from error
@@ -200,7 +149,7 @@ def _deepmimo(parts: list[Part], out: Path) -> None:
     """
     from scipy.io import savemat
 
-    scenario, tables = _scenario(parts), [_deepmimo_part(part) for part in parts]
+    scenario, tables = scenario_of(parts), [_deepmimo_part(part) for part in parts]
     width = max(table["power"].shape[1] for table in tables)
     depth = max(table["inter_pos"].shape[2] for table in tables)
     for name in tables[0]:
@@ -273,7 +222,7 @@ def _deepmimo_params(scenario: Scenario, count: int, active: int) -> dict:
 
 def _sigmf(parts: list[Part], out: Path) -> None:
     """A SigMF recording per part: complex float32 in the order (position, subcarrier, symbol, receive element)."""
-    scenario = _scenario(parts)
+    scenario = scenario_of(parts)
     spacing = scenario.radio.subcarrier_spacing * scenario.radio.comb
     for number, part in enumerate(parts):
         steps = dataset.signal_steps(part.path)
@@ -310,5 +259,5 @@ def _sigmf(parts: list[Part], out: Path) -> None:
 
 
 KINDS: dict[str, Callable[[list[Part], Path], None]] = {
-    "mat": _mat, "deepmimo": _deepmimo, "tum": _tum, "sigmf": _sigmf, "csv": _csv,
+    "mat": _mat, "deepmimo": _deepmimo, "tum": _tum, "sigmf": _sigmf, "csv": _csv, "drives": write_drives,
 }  # fmt: skip

@@ -84,6 +84,7 @@ FLOORS = [
     {"build", "evaluation", "matching", "report"},
     {"pipeline"},
     {"tracks", "datasets", "cluster", "foreign"},
+    {"drives"},
     {"export"},
     {"stages", "studies", "montecarlo", "bp_montecarlo", "benchmark", "reproduction"},
     {"traced_study", "sweep"},

@@ -11,8 +11,9 @@ from cyclopts import Parameter
 def export(
     source: Path,
     *,
-    to: Annotated[Literal["mat", "deepmimo", "tum", "sigmf", "csv"], Parameter(name="--to")],
+    to: Annotated[Literal["mat", "deepmimo", "tum", "sigmf", "csv", "drives"], Parameter(name="--to")],
     out: Path,
+    drive: int | None = None,
 ) -> None:
     """Write a dataset for other programs into a new folder.
 
@@ -22,13 +23,15 @@ def export(
         Dataset file, or folder made by 'dopslam dataset'.
     to
         mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv:
-        paths.
+        paths. drives: a dataset file for every drive, which slam, bound and evaluate take.
     out
         Folder to make.
+    drive
+        Number of the only drive that is wanted, with --to drives.
     """
     from rich.console import Console
 
     from dopslam.export import export as write
 
-    files = write(source, out, to)
+    files = write(source, out, to, drive)
     Console(highlight=False, soft_wrap=True).print(f"{out}: {len(files)} files, {files[0].name} …")

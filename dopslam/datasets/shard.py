@@ -69,7 +69,7 @@ class ShardTracer:
         source, points, settings = pipeline.tracing_inputs(scenario, seed)
         place = np.array(scenario.base_station.position)
         self.tracer = raytracing.Tracer(source, scenario.radio.carrier_frequency, place, points, settings)
-        self.unit = self.tracer.receivers_per_call
+        self.unit, self.together = self.tracer.receivers_per_call, 1
 
     def trace(self, track: Track) -> tuple[Landmarks, Paths]:
         """Landmarks and paths of a shard's positions."""
@@ -79,7 +79,8 @@ class ShardTracer:
         extra = -track.steps % self.unit
         position = np.concatenate([track.position, np.repeat(track.position[-1:], extra, axis=0)])
         velocity = np.concatenate([track.velocity, np.repeat(track.velocity[-1:], extra, axis=0)])
-        joined = raytracing.join(list(self.tracer.chunks(position, velocity)))
+        self.together = max(self.together, len(position) // self.unit)
+        joined = raytracing.join(list(self.tracer.chunks(position, velocity, self.together)))
         return joined.landmarks, first_steps(joined.paths, track.steps)
 
 

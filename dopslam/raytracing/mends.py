@@ -1,4 +1,4 @@
-"""Mends three defects of Sionna RT 2.2 without touching its code; all private names that we rely on are in
+"""Mends four defects of Sionna RT 2.2 without touching its code; all private names that we rely on are in
 this file.
 
 1. ``Scene._endpoints`` writes every receiver's position into the kernel as a literal, so each new trajectory
@@ -8,8 +8,9 @@ compiles
 2. The hash table that tells specular candidates apart drops paths on collisions. A larger one does not.
 3. The buffer of candidates drops what exceeds it, without a word. :class:`CountingSolver` notices and takes a
 larger one.
+4. A scene takes receivers one by one. :class:`Receivers` keeps those of every number that was needed.
 
-A version of Sionna that was not tested keeps its own behavior in 1 and 3, and whatever a mend does not cover
+A version of Sionna that was not tested keeps its own behavior in 1, 3 and 4, and whatever a mend does not cover
 goes to the original.
 """
 
@@ -56,6 +57,32 @@ def mend_endpoints(scene) -> None:
     """
     if _tested():
         scene._endpoints = MethodType(_endpoints_as_data, scene)
+
+
+class Receivers:
+    """The receivers of a scene; one set for every number of them, exchanged as a whole."""
+
+    def __init__(self, scene):
+        self._scene = scene
+        self._kept: dict[int, dict] = {}
+
+    def place(self, positions: np.ndarray) -> None:
+        """Make (N, 3) positions [m] the scene's receivers."""
+        rt, mi = backend()
+        scene, count = self._scene, len(positions)
+        if _tested() and count in self._kept:
+            scene._receivers = self._kept[count]
+        elif len(scene.receivers) != count:
+            if _tested():
+                scene._receivers = {}
+            for name in scene.receivers:
+                scene.remove(name)
+            for i in range(count):
+                scene.add(rt.Receiver(name=f"ue{i}", position=mi.Point3f(0.0, 0.0, 0.0)))
+        if _tested():
+            self._kept[count] = scene._receivers
+        for device, position in zip(scene.receivers.values(), positions.tolist(), strict=True):
+            device.position = mi.Point3f(*position)
 
 
 class CountingSolver:

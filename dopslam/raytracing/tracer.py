@@ -24,9 +24,9 @@ from dopslam.errors import SceneError
 from dopslam.geometry import PathGeometry, reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.raytracing.backend import backend
 from dopslam.raytracing.landmarks import Naming, landmarks_of
-from dopslam.raytracing.mends import CountingSolver
+from dopslam.raytracing.mends import CountingSolver, Receivers
 from dopslam.raytracing.scene import LoadedScene, SceneSource, load_scene
-from dopslam.raytracing.settings import JONES, ScatterPoints, TraceSettings
+from dopslam.raytracing.settings import JONES, MAX_CHUNK, ScatterPoints, TraceSettings
 from dopslam.raytracing.surfaces import check_positions
 from dopslam.raytracing.traced import Traced, join
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths
@@ -111,6 +111,7 @@ class Tracer:
         for identifier, name in identifiers.items():
             self._object_of[identifier] = index.get(name, -1)
         self._solver = CountingSolver(self.settings.deterministic)
+        self._receivers = Receivers(self.scene)
 
     def _add_points(self) -> None:
         """One millimeter-sized target below everything, so that it hides nothing, carries all the points."""
@@ -133,14 +134,20 @@ class Tracer:
     @property
     def receivers_per_call(self) -> int:
         """Receivers that one call of the tracer takes at most, so that memory stays bounded."""
-        pairs = max(1, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2)
-        return min(self.settings.receivers_per_call, pairs)
+        return min(self.settings.receivers_per_call, self._receivers_per_radar_call)
 
-    def chunks(self, receivers: np.ndarray, velocities: np.ndarray | None = None) -> Iterator[Traced]:
+    @property
+    def _receivers_per_radar_call(self) -> int:
+        return max(1, min(MAX_CHUNK, PAIRS_PER_CALL // max(1, len(self.points.names)) ** 2))
+
+    def chunks(
+        self, receivers: np.ndarray, velocities: np.ndarray | None = None, together: int = 1
+    ) -> Iterator[Traced]:
         """Trace receivers (K, 3) m with velocities (K, 3) m/s, chunk by chunk; memory does not grow.
 
         Every chunk has its own :class:`Landmarks` with the same names and order rules; :func:`join` unites
-        them.
+        them. The radar solver, whose calls cost much and whose receivers little, takes several chunks in one
+        call: at least ``together`` where that fits, so that runs of several lengths share one kernel.
         """
         receivers = np.asarray(receivers, dtype=float).reshape(-1, 3)
         velocities = np.zeros_like(receivers) if velocities is None else np.asarray(velocities, dtype=float)
@@ -151,15 +158,19 @@ class Tracer:
             raise SceneError("no receiver positions to trace; give at least one")
         check_positions(self.surfaces, {"the receiver at step": receivers, **self._fixed})
         # Equal chunks: another number of receivers would compile another kernel.
-        limit = self.receivers_per_call
-        size = -(-count // -(-count // limit))
-        for start in range(0, count, size):
-            rows = slice(start, min(start + size, count))
-            yield self._chunk(receivers[rows], velocities[rows], size)
+        size = -(-count // -(-count // self.receivers_per_call))
+        together = max(1, min(max(together, -(-count // size)), self._receivers_per_radar_call // size))
+        for first in range(0, count, together * size):
+            group = receivers[first : first + together * size]
+            scattered = self._scattered(group, together * size)
+            for start in range(0, len(group), size):
+                mine = [_of_receivers(found, start, size) for found in scattered]
+                rows = slice(first + start, min(first + start + size, count))
+                yield self._chunk(receivers[rows], velocities[rows], size, mine)
 
-    def _chunk(self, receivers: np.ndarray, velocities: np.ndarray, size: int) -> Traced:
-        self._place(receivers, size)
-        found = [self._reflected(), *self._scattered(size)]
+    def _chunk(self, receivers: np.ndarray, velocities: np.ndarray, size: int, scattered: list[_Found]) -> Traced:
+        self._receivers.place(_filled(receivers, size))
+        found = [self._reflected(), *scattered]
         depth = max(f.planes.shape[1] for f in found)
         planes = np.concatenate([
             np.pad(f.planes, ((0, 0), (0, depth - f.planes.shape[1])), constant_values=-1) for f in found
@@ -171,20 +182,6 @@ class Tracer:
         geometry = self._geometry(receivers[receiver], planes, point)
         self._compare(geometry.length, length)
         return self._records(receiver, planes, point, transfer, geometry, velocities)
-
-    def _place(self, receivers: np.ndarray, size: int) -> None:
-        """Put the scene's receivers here; the last position fills up an incomplete chunk."""
-        rt, mi = backend()
-        existing = self.scene.receivers
-        if len(existing) != size:
-            for name in existing:
-                self.scene.remove(name)
-            for i in range(size):
-                self.scene.add(rt.Receiver(name=f"ue{i}", position=mi.Point3f(0.0, 0.0, 0.0)))
-            existing = self.scene.receivers
-        filled = np.concatenate([receivers, np.repeat(receivers[-1:], size - len(receivers), axis=0)])
-        for device, position in zip(existing.values(), filled.tolist(), strict=True):
-            device.position = mi.Point3f(*position)
 
     def _reflected(self) -> _Found:
         """Line of sight and specular reflections."""
@@ -206,10 +203,11 @@ class Tracer:
         point = np.full(len(receiver), -1)
         return _Found(receiver, planes, point, _transfer(paths, where), _lengths(paths, where))
 
-    def _scattered(self, size: int) -> list[_Found]:
+    def _scattered(self, receivers: np.ndarray, size: int) -> list[_Found]:
         """Paths over the scatter points, both legs unobstructed."""
         if not len(self.points.names):
             return []
+        self._receivers.place(_filled(receivers, size))
         paths = self._radar(
             self.scene, max_depth=1, samples_per_sp=1, buffer_size_per_sp=size + 10, synthetic_array=True,
             los=True, specular_reflection=False, refraction=False, seed=self.settings.seed,
@@ -256,17 +254,16 @@ class Tracer:
             )
 
     def _records(self, receiver, planes, point, transfer, geometry: PathGeometry, velocities) -> Traced:
-        raw = [tuple(int(p) for p in row if p >= 0) for row in planes]
-        canonical = [self.naming.canonical(sequence) for sequence in raw]
-        sequences = {sequence for sequence, p in zip(canonical, point, strict=True) if p < 0}
+        distinct, which = np.unique(np.column_stack([point, planes]), axis=0, return_inverse=True)
+        ends = [(p, tuple(plane for plane in row if plane >= 0)) for p, *row in distinct.tolist()]
+        canonical = {sequence: self.naming.canonical(sequence) for p, sequence in ends if p < 0}
         landmarks, rows = landmarks_of(
-            self.surfaces, self.bs_position, sequences, self.naming, self.points.names, self.points.positions
-        )
+            self.surfaces, self.bs_position, set(canonical.values()), self.naming, self.points.names,
+            self.points.positions,
+        )  # fmt: skip
         first_point = len(landmarks) - len(self.points.names)
-        landmark = np.array(
-            [first_point + p if p >= 0 else rows[s] for s, p in zip(canonical, point, strict=True)],
-            dtype=np.int64,
-        )
+        row_of = [first_point + p if p >= 0 else rows[canonical[sequence]] for p, sequence in ends]
+        landmark = np.array(row_of, dtype=np.int64)[which.reshape(-1)]
         order = np.lexsort((geometry.length, landmark, receiver))
         landmark, receiver, transfer = landmark[order], receiver[order], transfer[order]
         length, departure, arrival = (c[order] for c in (geometry.length, geometry.departure, geometry.arrival))
@@ -286,6 +283,18 @@ class Tracer:
             vertices=vertices[real],
         )  # fmt: skip
         return Traced(landmarks, paths, transfer)
+
+
+def _filled(receivers: np.ndarray, size: int) -> np.ndarray:
+    """The last position fills up an incomplete call."""
+    return np.concatenate([receivers, np.repeat(receivers[-1:], size - len(receivers), axis=0)])
+
+
+def _of_receivers(found: _Found, start: int, size: int) -> _Found:
+    """The paths of some receivers, which count from 0 then."""
+    mine = (found.receiver >= start) & (found.receiver < start + size)
+    part = _Found(*(column[mine] for column in found))
+    return part._replace(receiver=part.receiver - start)
 
 
 def _valid(paths) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
