@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from dopslam.compiled import compiled_without_lock
-from dopslam.slam.bp.kernels import PS, VA_AOD
+from dopslam.slam.bp.kernels import PS, VA, VA_AOD
 from dopslam.slam.bp.motion import BIAS, HEADING
 from dopslam.slam.bp.records import Parameters, Scan
 
@@ -205,18 +205,23 @@ def sample_births(
 def _sample_birth(
     form, agent, anchor, distance, aoa, aod, amplitude, sigma, deviation, pool, offsets, point, start, stride, out
 ):  # fmt: skip
-    """Particles of one birth: proposed from two measured quantities, resampled by the third, scattered over the row.
+    """Particles of one birth: proposed from two measured quantities, resampled by the chord of the third, scattered over
+    the row.
 
     agent (5, N) = x, y, cosine and sine of the heading, bias; normals are read from ``pool`` at ``offsets``.
     """
     size = agent.shape[1]
-    qx, qy, log_w = np.empty(size), np.empty(size), np.empty(size)
+    qx, qy, weight, exponent = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
     turn = sigma[2] if form == PS else sigma[1]
-    top = -np.inf
+    gain = 0.5 / sigma[1] ** 2 if form == PS else 0.5 / sigma[2] ** 2
+    least = np.inf
     for i in range(size):
         length = distance - agent[4, i] + sigma[0] * pool[offsets[0] + i]
-        angle = turn * pool[offsets[1] + i]
-        c, s = np.cos(angle), np.sin(angle)
+        # A turn by a small angle as a point on the circle: x = tan(angle / 2) to second order.
+        half = 0.5 * turn * pool[offsets[1] + i]
+        half *= 1 + half * half / 3
+        norm = 1 / (1 + half * half)
+        c, s = (1 - half * half) * norm, 2 * half * norm
         px, py, ca, sa = agent[0, i], agent[1, i], agent[2, i], agent[3, i]
         if form == PS:
             nx, ny = aod[0] * c - aod[1] * s, aod[1] * c + aod[0] * s
@@ -225,38 +230,39 @@ def _sample_birth(
             reach = max(0.5 * slack / (length - wx * nx - wy * ny), 1e-3)
             x, y = anchor[0] + reach * nx, anchor[1] + reach * ny
             ex, ey = x - px, y - py
-            r = np.sqrt(ex * ex + ey * ey) + 1e-12
-            ex, ey = ex / r, ey / r
-            vx, vy = ca * ex + sa * ey, ca * ey - sa * ex
-            off = np.arctan2(aoa[0] * vy - aoa[1] * vx, aoa[0] * vx + aoa[1] * vy)
-            value = np.log(reach / max(1 + ex * nx + ey * ny, 1e-9)) - 0.5 * (off / sigma[1]) ** 2
-            if slack <= 0:
-                value -= 1e6
+            inverse = 1 / (np.sqrt(ex * ex + ey * ey) + 1e-12)
+            ex, ey = ex * inverse, ey * inverse
+            across, along = ca * ex + sa * ey - aoa[0], ca * ey - sa * ex - aoa[1]
+            weight[i] = reach / max(1 + ex * nx + ey * ny, 1e-9) if slack > 0 else 0.0
+            exponent[i] = gain * (across * across + along * along)
         else:
             zx, zy = ca * aoa[0] - sa * aoa[1], sa * aoa[0] + ca * aoa[1]
             ex, ey = zx * c - zy * s, zy * c + zx * s
             x, y = px + length * ex, py + length * ey
-            value = np.log(max(length, 1e-3))
+            weight[i] = max(length, 1e-3)
             if form == VA_AOD:
                 nx, ny = x - anchor[0], y - anchor[1]
-                r = np.sqrt(nx * nx + ny * ny) + 1e-12
-                nx, ny = nx / r, ny / r
+                inverse = 1 / (np.sqrt(nx * nx + ny * ny) + 1e-12)
+                nx, ny = nx * inverse, ny * inverse
                 en = 2 * (ex * nx + ey * ny)
-                tx, ty = en * nx - ex, en * ny - ey
-                off = np.arctan2(tx * aod[1] - ty * aod[0], tx * aod[0] + ty * aod[1])
-                value -= 0.5 * (off / sigma[2]) ** 2
-        qx[i], qy[i], log_w[i] = x, y, value
-        top = max(top, value)
+                across, along = en * nx - ex - aod[0], en * ny - ey - aod[1]
+                exponent[i] = gain * (across * across + along * along)
+        qx[i], qy[i] = x, y
+        if weight[i] > 0:
+            least = min(least, exponent[i])
     total = 0.0
     for i in range(size):
-        log_w[i] = np.exp(log_w[i] - top)
-        total += log_w[i]
+        if least == np.inf:  # no particle allows the form: any of them
+            weight[i] = 1.0
+        elif form != VA:
+            weight[i] *= np.exp(least - exponent[i])
+        total += weight[i]
     step = total / size
-    threshold, source, cumulative, place = point * step, 0, log_w[0], start
+    threshold, source, cumulative, place = point * step, 0, weight[0], start
     for i in range(size):
         while cumulative < threshold and source < size - 1:
             source += 1
-            cumulative += log_w[source]
+            cumulative += weight[source]
         out[0, place], out[1, place] = qx[source], qy[source]
         out[2, place] = max(amplitude + deviation * pool[offsets[2] + i], 0.5)
         threshold += step
