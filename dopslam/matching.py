@@ -10,7 +10,7 @@ import numpy as np
 from dopslam import radio
 from dopslam.config import Scenario
 from dopslam.records import DetectionSeries, Paths, Track
-from estimation import Detections, SignalModel
+from estimation import PARAMETERS, Detections, SignalModel
 from estimation.evaluate import Match, associate
 
 RHO_BANDS_DB = (10, 12, 14, 16, 17, 20, 90)
@@ -51,6 +51,14 @@ def true_landmarks(matches: list[Match], paths: Paths, detections: DetectionSeri
     return label
 
 
+def nees_per_parameter(matches: list[Match]) -> dict[str, float]:
+    """Mean squared error of each observed parameter over the detections' own variance."""
+    error = np.concatenate([m.error for m in matches])
+    variance = np.concatenate([np.diagonal(m.covariance, axis1=1, axis2=2) for m in matches])
+    mean = np.mean(error**2 / variance, axis=0)
+    return dict(zip(PARAMETERS, mean.tolist(), strict=True)) if len(mean) == len(PARAMETERS) else {}
+
+
 def figures(matches: list[Match]) -> dict:
     """Probability of detection by band of true ρ, false paths per snapshot and NEES over its dimension of the
     detections."""
@@ -65,5 +73,6 @@ def figures(matches: list[Match]) -> dict:
         "per_snapshot": float(np.mean([len(m.truth) + m.false for m in matches])),
         "false_per_snapshot": float(np.mean([m.false for m in matches])),
         "nees_over_6": float(nees.mean() / 6) if len(nees) else None,
+        "nees_per_parameter": nees_per_parameter(matches) if len(nees) else None,
         "found_by_rho_db": bands,
     }

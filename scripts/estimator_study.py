@@ -4,6 +4,8 @@
 python scripts/estimator_study.py --json study.json                       # accuracy of all estimators
 python scripts/estimator_study.py --json study.json --study all --figures figures
 python scripts/estimator_study.py --json study.json --study resolution --snapshots 40
+
+Studies are added to those that the JSON file holds already, so that a long list can be run in pieces; --draw only draws.
 """
 
 from __future__ import annotations
@@ -39,14 +41,17 @@ def main() -> None:
         help="per-sample SNR of the strongest path [dB]",
     )
     parser.add_argument("--figures", type=Path, help="folder for figures; none are drawn without it")
+    parser.add_argument("--draw", action="store_true", help="run nothing, draw what the JSON file holds")
     options = parser.parse_args()
     if options.snapshots < 2:
         parser.error("--snapshots must be at least 2")
+    results: dict = json.loads(options.json.read_text())["studies"] if options.json.exists() else {}
     chosen = STUDIES if "all" in options.study else options.study
-    results: dict = {}
-    for name in chosen:
-        results[name] = run_study(name, options)
-        show(name, results[name])
+    for name in [] if options.draw else chosen:
+        result = run_study(name, options)
+        show(name, result)
+        # Estimators may be run one at a time.
+        results[name] = results.get(name, {}) | result if name == "accuracy" else result
     options.json.parent.mkdir(parents=True, exist_ok=True)
     # The accuracy figures of each estimator also stand at the top level, by its name.
     top = {

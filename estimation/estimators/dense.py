@@ -1,8 +1,12 @@
 """Coarse search of fully digital links: the matched-filter spectrum over delay x speed x AOA x AOD, complete and
 coherent.
 
-Each mode is multiplied by its dictionary in turn (the delays by FFT), limited to the field of view, and found
-paths are subtracted in the spectrum itself as outer products of the dictionaries' responses.
+The delays come first (by FFT), then every mode is multiplied by its dictionary in turn, a few delays at a time,
+so that intermediate results stay in the cache. Found paths are subtracted in the spectrum itself, as outer
+products of the dictionaries' responses, block by block together with the scan for high cells.
+
+Six dimensions of coarse cells leave a path between them with a third of its energy on average. So a high cell is
+judged by its neighborhood: along each mode, the best of a few points between the cells.
 """
 
 from __future__ import annotations
@@ -10,22 +14,36 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import cgemm
 
 from ..signal.algebra import Blocks
-from ..signal.directions import Float
+from ..signal.directions import Float, displaced
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .cells import Cells, Single, line_points, ring
 from .grids import DelayGrid, View, direction_grid, speed_grid
-from .kernels import above, peak_power
+from .kernels import scan, screen
 from .lobes import LobeMap
-from .polish import ResidualProjector
-from .search import C64, Effort, largest
+from .polish import CellProjector, ResidualProjector
+from .search import BLOCK, C64, Effort, largest, subtracted
 
-NOISE_CELL = 6.5
+NOISE_CELL = 7.0
 """Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best
 cell, but for rare scalloping.
 """
+MOST = 20_000
+"""High cells of one scan; a scan that finds more raises its level."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """A filtered signal: ``delays`` (L, N, N_R, N_T) matched to delays only, ``cells`` (L, V, A, D) to everything.
+
+    Known paths are out of the cells, not out of the delays. ``scratch`` is room for another set of cells.
+    """
+
+    delays: Single
+    cells: Single
+    scratch: Single
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +53,8 @@ class DenseSearch:
     Attributes
     ----------
     delay, speeds, arrivals, departures : cells
-    speed_matrix, arrival_matrix, departure_matrix : (V, N), (A, N_R), (D, N_T) conjugated unit-norm responses
+    cells : the same in the order of the spectrum's axes, with neighborhoods
+    offsets : the points about a cell: delays (J,) [s], speeds (J,) [m/s], tangent steps (A, J, 2), (D, J, 2) [rad]
     lobes : tells which grid points belong together
     full : effort of a pass; there is no cheaper one
     """
@@ -44,9 +63,8 @@ class DenseSearch:
     speeds: Float
     arrivals: Float
     departures: Float
-    speed_matrix: np.typing.NDArray[C64]
-    arrival_matrix: np.typing.NDArray[C64]
-    departure_matrix: np.typing.NDArray[C64]
+    cells: tuple[Cells, Cells, Cells, Cells]
+    offsets: tuple[Float, Float, Float, Float]
     lobes: LobeMap
     full: Effort
 
@@ -58,8 +76,8 @@ class DenseSearch:
         arrival_view: View,
         departure_view: View,
         oversampling: float = 1.25,
-        retained: float = 0.4,
-        candidates: int = 24,
+        retained: float = 0.5,
+        candidates: int = 12,
     ) -> DenseSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform = model.waveform
@@ -67,20 +85,33 @@ class DenseSearch:
         arrivals = direction_grid(arrival_view, model.receiver, retained)
         departures = direction_grid(departure_view, model.transmitter, retained)
         speeds = speed_grid(model, max_speed, oversampling, registers=False)
-        phase = -2j * np.pi / waveform.wavelength * np.outer(speeds, model.schedule.times)
-        matrices = [
-            np.exp(phase),
-            model.receiver.response(arrivals)[0].conj(),
-            model.transmitter.response(departures)[0],
+        lobes = LobeMap.build(model, delay.delays, arrivals, departures, speeds)
+        rates = -2j * np.pi * delay.tones, 2j * np.pi / waveform.wavelength * model.schedule.times
+        lines = [spacing(grid) * np.linspace(-0.5, 0.5, 5) for grid in (delay.delays, speeds)]
+        cells = [
+            Cells.build(np.exp(np.outer(grid, rate)), line_points(rate, grid, offset), 5)
+            for grid, rate, offset in zip((delay.delays, speeds), rates, lines, strict=True)
         ]
-        unit = [(m / np.linalg.norm(m, axis=1, keepdims=True)).astype(C64) for m in matrices]
+        steps = []
+        for array, grid, metrics, part in (
+            (model.receiver, arrivals, lobes.arrival_metric, slice(1, 3)),
+            (model.transmitter, departures, lobes.departure_metric, slice(3, 5)),
+        ):
+            step = ring(metrics, 0.55, model.active[part])
+            points = displaced(np.repeat(grid, step.shape[1], axis=0), step.reshape(-1, 2))
+            vectors, around = (array.response(d)[0] for d in (grid, points))
+            if array is model.transmitter:
+                vectors, around = vectors.conj(), around.conj()
+            cells.append(Cells.build(vectors, around.reshape(*step.shape[:2], -1), 8))
+            steps.append(step)
         return DenseSearch(
             delay,
             speeds,
             arrivals,
             departures,
-            *unit,
-            LobeMap.build(model, delay.delays, arrivals, departures, speeds),
+            tuple(cells),
+            (*lines, *steps),
+            lobes,
             Effort(None, 0, 0, candidates),
         )
 
@@ -89,48 +120,83 @@ class DenseSearch:
         """The passes in order."""
         return [self.full]
 
-    def filtered(self, signal):
-        """Spectrum (L, V, A, D) of a signal (K, N, N_R, N_T), normalized to unit noise gain."""
-        count, _, ports, elements = signal.shape
-        data = np.matmul(self.speed_matrix, signal.reshape(count, signal.shape[1], -1))
-        data = np.matmul(self.arrival_matrix, data.reshape(-1, ports, elements))
-        data = data.reshape(-1, elements) @ self.departure_matrix.T
-        data *= np.float32(1 / np.sqrt(count))
-        return self.delay.apply(data.reshape(count, len(self.speeds), len(self.arrivals), -1))
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(L, V, A, D) of the spectrum."""
+        return tuple(len(c.vectors) for c in self.cells)
 
-    def without(self, filtered, blocks: Blocks, gain):
-        """The spectrum less that of given paths (a new array)."""
+    def operations(self, model: SignalModel) -> float:
+        """Floating-point operations of :meth:`filtered`: the least that one search costs."""
+        pilots, symbols, ports, elements = model.shape
+        delays, speeds, arrivals, departures = self.shape
+        columns = symbols * ports * elements
+        length = self.delay.length
+        first = 5 * length * np.log2(length) if length else 8 * delays * pilots
+        rest = symbols * ports * elements + departures * ports * elements + arrivals * departures * ports
+        return columns * first + 8.0 * delays * speeds * rest
+
+    def filtered(self, signal) -> Spectrum:
+        """Spectrum of a signal (K, N, N_R, N_T), its cells normalized to unit noise gain."""
+        symbols, ports, elements = signal.shape[1:]
+        delays, speeds, _, departures = self.shape
+        data = self.delay.apply(signal)
+        speed, arrival, departure = (c.vectors.conj() for c in self.cells[1:])
+        speed = speed * C64(1 / np.sqrt(len(signal)))
+        out = np.empty(self.shape, C64)
+        count = max(BLOCK // (symbols * ports * elements), 1)
+        for start in range(0, delays, count):
+            part = data[start : start + count].reshape(-1, symbols, ports * elements)
+            part = np.matmul(speed, part).reshape(-1, elements) @ departure.T
+            np.matmul(arrival, part.reshape(-1, speeds, ports, departures), out=out[start : start + count])
+        return Spectrum(data, out, np.empty_like(out))
+
+    def without(self, filtered: Spectrum, blocks: Blocks, gain) -> Spectrum:
+        """The spectrum with given paths taken out of its cells; the result of an earlier call is written over."""
         frequency, time, receive, transmit = (mode[:, 0] for mode in blocks[0])
         scale = gain[:, None] / np.sqrt(frequency.shape[1])
         first = self.delay.apply((frequency * scale).T.astype(C64)).T
-        others = (time, self.speed_matrix), (receive, self.arrival_matrix), (transmit, self.departure_matrix)
-        speed, arrival, departure = ((v @ matrix.T).astype(C64) for v, matrix in others)
+        speed, arrival, departure = (
+            (v @ c.vectors.conj().T).astype(C64) for v, c in zip((time, receive, transmit), self.cells[1:], strict=True)
+        )
         left = (first[:, :, None] * speed[:, None]).reshape(len(gain), -1)
         right = (arrival[:, :, None] * departure[:, None]).reshape(len(gain), -1)
-        rest = filtered.reshape(left.shape[1], -1).copy()
-        cgemm(-1.0, right.T, left, 1.0, rest.T, overwrite_c=True)
-        return rest.reshape(filtered.shape)
+        rows = filtered.cells.reshape(left.shape[1], -1)
+        subtracted(rows, left, right, filtered.scratch.reshape(rows.shape))
+        return Spectrum(filtered.delays, filtered.scratch, filtered.cells)
 
-    def candidates(self, filtered, effort: Effort, variance: float) -> Geometry:
-        """The best grid points of a residual spectrum, each in a lobe of its own, strongest first."""
-        flat = filtered.reshape(-1).view(np.float32)
-        least = max(NOISE_CELL * variance, 0.1 * float(peak_power(flat)))
-        index, power = np.empty(50_000, np.int64), np.empty(50_000, np.float32)
-        count = above(flat, np.float32(least), index, power)
-        if count == 0:
+    def candidates(self, filtered: Spectrum, effort: Effort, variance: float, scale: Float | None = None) -> Geometry:
+        """The best points of a residual spectrum, each in a lobe of its own, best first; ``scale`` (L,) gives all
+        delays the same noise.
+        """
+        values = filtered.cells if scale is None else filtered.cells * scale[:, None, None, None]
+        flat = values.reshape(-1)
+        index, power = np.empty(MOST, np.int64), np.empty(MOST, np.float32)
+        count, least = scan(flat.view(np.float32), np.float32(NOISE_CELL * variance), np.float32(0.1), index, power)
+        index = index[:count][power[:count] > least]
+        if not len(index):
             return Geometry.empty()
-        best = index[:count][largest(power[:count], 12 * effort.candidates)]
-        delay, speed, arrival, departure = np.unravel_index(best, filtered.shape)
-        cells = np.stack([delay, arrival, departure, speed])
-        delay, arrival, departure, speed = cells[:, self.lobes.first_of_each(*cells, effort.candidates)]
+        cells = np.stack(np.unravel_index(index, self.shape))
+        energy, best = np.empty(len(index), np.float32), np.empty((4, len(index)), np.int64)
+        tables = [table for c in self.cells for table in (c.neighbors, c.shifts)]
+        screen(flat, np.array(self.shape), cells, *tables, energy, best)
+        order = largest(energy, 12 * effort.candidates)
+        delay, speed, arrival, departure = cells[:, order]
+        order = order[self.lobes.first_of_each(delay, arrival, departure, speed, effort.candidates)]
+        (delay, speed, arrival, departure), points = cells[:, order], best[:, order]
         return Geometry(
-            self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
+            self.delay.delays[delay] + self.offsets[0][points[0]],
+            displaced(self.arrivals[arrival], self.offsets[2][arrival, points[2]]),
+            displaced(self.departures[departure], self.offsets[3][departure, points[3]]),
+            self.speeds[speed] + self.offsets[1][points[1]],
         )
 
-    def projector(self, data, filtered, lin, points: Geometry) -> ResidualProjector:
+    def projector(self, data, filtered: Spectrum, lin, points: Geometry) -> ResidualProjector | CellProjector:
         """What candidates are polished on."""
-        return ResidualProjector(data, lin)
+        if data.model.subbands > 1:
+            return ResidualProjector(data, lin)
+        return CellProjector(data.model, self.delay, filtered.delays, points.delay, known=lin)
 
-    def alternatives(self, model: SignalModel, cells, found: Geometry, energy: Float) -> Geometry:
-        """None: the spectrum holds all lobes already."""
-        return Geometry.empty()
+
+def spacing(grid: Float) -> float:
+    """Distance of the points of an even grid; 0 for a single one."""
+    return float(grid[1] - grid[0]) if len(grid) > 1 else 0.0

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
@@ -68,17 +69,40 @@ def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float
     return points[inside], 4 * np.pi * inside.sum() / max(len(points), 1)
 
 
-def cover(vectors: Complex, retained: float, limit: int = 2000):
+REGISTERS = 24
+"""Matrix products run fastest with a multiple of this many columns."""
+
+
+def cover(vectors: Complex, retained: float, candidates: int = 2000):
     """Indices of a subset such that every normalized vector keeps ``|inner product|^2 >= retained`` with one
-    of it (farthest point first).
+    of it: each next one is the candidate (every so-many-th vector) that covers most of what is left.
+
+    Large subsets are filled up to whole registers with what is covered worst.
     """
-    unit = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
-    chosen = [0]
-    best = np.abs(unit @ unit[0].conj()) ** 2
-    while best.min() < retained and len(chosen) < limit:
-        worst = int(np.argmin(best))
-        chosen.append(worst)
-        np.maximum(best, np.abs(unit @ unit[worst].conj()) ** 2, out=best)
+    unit = (vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)).astype(np.complex64)
+    step = -(-len(unit) // candidates)
+    near = np.concatenate([
+        np.abs(unit[start : start + 256 * step : step] @ unit.conj().T) ** 2 >= retained
+        for start in range(0, len(unit), 256 * step)
+    ])  # fmt: skip
+    left = np.ones(len(unit), bool)
+    counts = near.sum(axis=1)
+    chosen = []
+    while left.any():
+        best = int(np.argmax(counts))
+        new = near[best] & left
+        if not new.any():
+            # What no candidate covers is covered by itself.
+            chosen += list(np.flatnonzero(left))
+            break
+        chosen.append(best * step)
+        counts -= near[:, new].sum(axis=1)
+        left &= ~near[best]
+    if len(chosen) > REGISTERS:
+        kept = np.max(np.abs(unit @ unit[chosen].conj().T), axis=1)
+        while len(chosen) % REGISTERS and kept.min() < 1 - 1e-6:
+            chosen.append(int(np.argmin(kept)))
+            np.maximum(kept, np.abs(unit @ unit[chosen[-1]].conj()), out=kept)
     return np.array(chosen)
 
 
@@ -95,7 +119,14 @@ def direction_grid(
     return points[cover(seen(response), retained)]
 
 
-BLOCK = 256
+BLOCK = 128
+"""Columns transformed at a time."""
+LARGEST_PRODUCT = 20_000
+"""Entries of a matrix that beats the transform of its columns."""
+
+
+NEIGHBORS = 8
+"""Delay cells that are combined into a delay vector between them; they leave out about a thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +159,8 @@ class DelayGrid:
             length = scipy.fft.next_fast_len(int(np.ceil(oversampling * count)))
             cells = min(int(np.ceil(max_delay * spacing * length)) + 1, length)
             delays = np.arange(cells) / (length * spacing)
-            # A short stretch of a long FFT is cheaper as a product.
-            if cells > 0.15 * length:
+            # A short transform, or a short stretch of a long one, is cheaper as a product.
+            if cells > 0.15 * length and cells * count > LARGEST_PRODUCT:
                 return DelayGrid(delays, length, None, spacing * np.arange(count))
         else:
             delays = np.arange(0, max_delay + 1 / (oversampling * bandwidth), 1 / (oversampling * bandwidth))
@@ -147,6 +178,14 @@ class DelayGrid:
             part = slice(start, start + BLOCK)
             out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
         return out.reshape(-1, *signal.shape[1:])
+
+    @cached_property
+    def neighborhood(self) -> Complex:
+        """(n, K) pseudo-inverse of the delay vectors of the first n cells: what combines neighboring cells into a
+        delay vector between them, up to the phases that move it to other cells.
+        """
+        cells = self.delays[:NEIGHBORS] - self.delays[0]
+        return np.linalg.pinv(np.exp(-2j * np.pi * np.outer(self.tones, cells)))
 
     def equalizer(self, frequencies: Float, weight) -> Float:
         """(L,) factors that give every cell the noise gain of white noise, ``sqrt(K / (v^H C^-1 v))``."""
@@ -167,4 +206,7 @@ def speed_grid(model: SignalModel, max_speed: float, oversampling: float, regist
     count = int(np.ceil(bins * oversampling)) + 1
     if registers and bins > 8:
         count = 16 * max(round(bins * oversampling / 16), 1)
-    return np.linspace(-max_speed, max_speed, count)
+        return np.linspace(-max_speed, max_speed, count)
+    # Cells side by side: the outermost reach to the limits.
+    count = max(int(np.ceil(bins * oversampling)), 1)
+    return max_speed * ((2 * np.arange(count) + 1) / count - 1)

@@ -29,12 +29,15 @@ class LobeMap:
     ----------
     delays, speeds : (L,), (V,) grids in metric units
     arrivals, departures : (A, A), (D, D) squared distances between direction cells
+    arrival_metric, departure_metric : (A, 2, 2), (D, 2, 2) normalized information on the tangents at each cell
     """
 
     delays: Float
     speeds: Float
     arrivals: Float
     departures: Float
+    arrival_metric: Float
+    departure_metric: Float
 
     @staticmethod
     def build(model: SignalModel, delays: Float, arrivals: Float, departures: Float, speeds: Float) -> LobeMap:
@@ -51,13 +54,16 @@ class LobeMap:
             matrices = metric(gram_diagonal(model, model.evaluate(geometry)), model.active)
             step = great_circle(grid[:, None], grid[None])
             scales.append(matrices[0])
-            return np.einsum("ija,iab,ijb->ij", step, matrices[:, part, part], step)
+            local = matrices[:, part, part]
+            metrics.append(local)
+            return np.einsum("ijb,ijb->ij", np.matmul(step, local), step)
 
         scales: list[Float] = []
+        metrics: list[Float] = []
         arrival = distances(arrivals, slice(1, 3), "arrival")
         departure = distances(departures, slice(3, 5), "departure")
         scale = np.sqrt(np.maximum(np.diag(scales[0]), 0))
-        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure)
+        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure, *metrics)
 
     def first_of_each(self, delay, arrival, departure, speed, count: int):
         """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are

@@ -26,7 +26,7 @@ from .detect import calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .grids import EVERYWHERE, View, directions_in
 from .polish import separate_fit
-from .projector import Projector, delay_basis
+from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
 
@@ -66,7 +66,7 @@ class Nomp:
     dense_multipath: bool = False
     search_options: dict = field(default_factory=dict)
     _search: StagedSearch | DenseSearch = field(init=False, repr=False)
-    _basis: np.ndarray | None = field(init=False, repr=False)
+    _basis: Bases | None = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class Nomp:
             self.model, longest, self.max_speed, self.arrival_view, self.departure_view, **self.search_options
         )
         object.__setattr__(self, "_search", search)
-        object.__setattr__(self, "_basis", delay_basis(self.model))
+        object.__setattr__(self, "_basis", Bases.build(self.model))
         arrivals, arrival_angle = directions_in(self.arrival_view, self.model.receiver)
         departures, departure_angle = directions_in(self.departure_view, self.model.transmitter)
         volume = search_volume(
@@ -188,7 +188,9 @@ class Nomp:
                     accepted, more = accepted.take([]), False
                 else:
                     lin = grown
-            if not len(accepted) or (len(efforts) == 1 and not more):
+            # A quick pass is for paths that stand out; the last of them leaves nothing that would.
+            faint = len(statistic) and statistic[0] < FAINT * self.threshold
+            if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         return data, self._pruned(data, lin, noise), noise
 
@@ -210,18 +212,17 @@ class Nomp:
         strongest first.
         """
         model = data.model
-        scaled = residual
+        scale = None
         if model.weight is not None:
             # Cells of delays with much dense power carry less signal: equal noise in every cell again.
             scale = self._search.delay.equalizer(model.waveform.frequencies, model.weight)
-            scaled = residual * scale.reshape(-1, *[1] * (residual.ndim - 1))
-        points = self._search.candidates(scaled, effort, variance)
+        points = self._search.candidates(residual, effort, variance, scale)
         if not len(points):
             return points, np.zeros(0)
         interest = np.inf if self.threshold is None else self.threshold * variance
         points, energies = separate_fit(self._search.projector(data, residual, lin, points), points, variance, interest)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
-        if len(significant):
+        if isinstance(self._search, StagedSearch) and len(significant):
             significant = significant[lone(model, points.take(significant), energies[significant])]
             peaks = points.take(significant)
             cells = self._search.projector(data, residual, lin, peaks)
@@ -310,6 +311,8 @@ def lone(model: SignalModel, geometry: Geometry, energy) -> np.ndarray:
     return distinct(coherence(model, geometry), energy, len(energy), limit=0.25)
 
 
+FAINT = 10.0
+"""Below this multiple of the threshold the strongest path of a pass ends the quick passes."""
 LEAST_NOISE = 1e-9
 """Noise is never taken to be weaker than this share of the signal: single-precision samples cannot tell."""
 

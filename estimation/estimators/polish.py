@@ -14,26 +14,33 @@ from ..signal.algebra import Blocks, gram, gram_diagonal, project_rest
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .grids import DelayGrid
+from .grids import NEIGHBORS, DelayGrid
 from .projector import Projector
 from .refine import LARGEST_STEP, Linearization, bounded, metric
 
-NEIGHBORS = 8
+PROMISE = 2.5
+"""A candidate climbs at most this many times what its first step predicts."""
 
 
 class CellProjector:
     """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they
-    started from.
+    started from; paths ``known`` to be in it still are taken out by their Gram matrix.
     """
 
-    def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float, gather=None) -> None:
-        self.model, self.grid = model, grid
+    def __init__(
+        self,
+        model: SignalModel,
+        grid: DelayGrid,
+        filtered,
+        delay: Float,
+        gather=None,
+        known: Linearization | None = None,
+    ) -> None:
+        self.model, self.grid, self.known = model, grid, known
         self.filtered = filtered.reshape(len(filtered), -1)
         count = min(NEIGHBORS, len(grid.delays))
         nearest = np.searchsorted(grid.delays, delay)
         self.first = np.clip(nearest - count // 2, 0, len(grid.delays) - count)
-        cells = grid.delays[:count] - grid.delays[0]
-        self.inverse = np.linalg.pinv(np.exp(-2j * np.pi * np.outer(grid.tones, cells)))
         self.count = count
         # The search may have put symbols in an order of its own.
         self.restore = None if gather is None else np.argsort(gather)
@@ -44,15 +51,18 @@ class CellProjector:
         if self.restore is not None:
             shape = partial.shape
             partial = partial.reshape(*shape[:2], len(self.restore), -1)[:, :, self.restore].reshape(shape)
-        return project_rest(self.model, partial, blocks[0], self.model.bands[0])
+        return less_known(self.model, project_rest(self.model, partial, blocks[0]), blocks, self.known)
 
     def at_delay(self, vectors, index):
         """The residual matched to delay vectors (P, c, K): (P, c, rest)."""
         first = self.first[index]
         shift = np.exp(2j * np.pi * self.grid.delays[first][:, None] * self.grid.tones)
-        weights = (vectors * shift[:, None]) @ self.inverse.T
-        cells = self.filtered[first[:, None] + np.arange(self.count)]
-        return np.matmul(weights.conj().astype(np.complex64), cells)
+        weights = (vectors * shift[:, None]) @ self.grid.neighborhood.T
+        weights = weights.conj().astype(np.complex64)
+        out = np.empty((*weights.shape[:2], self.filtered.shape[1]), np.complex64)
+        for own, start, row in zip(weights, first, out, strict=True):
+            np.matmul(own, self.filtered[start : start + self.count], out=row)
+        return out
 
 
 class ResidualProjector:
@@ -65,11 +75,14 @@ class ResidualProjector:
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
         """``<d_a s_p, r>`` (P, 7)."""
-        inner = self.data.inner(geometry, blocks)
-        if self.known is None:
-            return inner
-        overlap = gram(self.model, blocks, self.known.blocks, plain=True)
-        return inner - overlap[..., 0] @ self.known.gain
+        return less_known(self.model, self.data.inner(geometry, blocks), blocks, self.known)
+
+
+def less_known(model: SignalModel, inner, blocks: Blocks, known: Linearization | None):
+    """Inner products (P, 7) with the data turned into those with what ``known`` paths leave of them."""
+    if known is None:
+        return inner
+    return inner - gram(model, blocks, known.blocks, plain=True)[..., 0] @ known.gain
 
 
 def separate_fit(
@@ -116,8 +129,8 @@ def separate_fit(
         rising = np.einsum("pa,pa->p", gradient[live], step) > np.maximum(
             tolerance * noise_variance, 0.01 * energy[live]
         )
-        if iteration >= 2:
-            rising &= energy[live] > 0.5 * min(energy.max(), interest)
+        reach = energy[live] + PROMISE * np.einsum("pa,pa->p", gradient[live], step)
+        rising &= reach > min(0.5 * energy.max(), interest) if iteration == 0 else reach > min(energy.max(), interest)
         live, step = live[rising], step[rising]
         if not len(live):
             break

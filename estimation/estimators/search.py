@@ -114,7 +114,7 @@ class StagedSearch:
         arrival_view: View,
         departure_view: View,
         oversampling: float = 1.5,
-        retained: float = 0.65,
+        retained: float = 0.7,
         keep_cells: int = 4000,
         keep_pairs: int = 4000,
         candidates: int = 10,
@@ -180,13 +180,15 @@ class StagedSearch:
             right = (right[:, :, None] * mode[:, None, 0].astype(C64)).reshape(len(gain), -1)
         if self.gather is not None:
             right = right.reshape(len(gain), len(self.gather), -1)[:, self.gather].reshape(len(gain), -1)
-        rest = filtered.reshape(len(filtered), -1).copy()
-        # rest -= left @ right, in place: BLAS wants column order, that is the transposes.
-        cgemm(-1.0, right.T, left.T, 1.0, rest.T, overwrite_c=True)
-        return rest.reshape(filtered.shape)
+        rows = filtered.reshape(len(filtered), -1)
+        return subtracted(rows, left.T, right, np.empty_like(rows)).reshape(filtered.shape)
 
-    def candidates(self, filtered, effort: Effort, variance: float = 0.0) -> Geometry:
-        """The best mutually incoherent grid points in a filtered residual, strongest first."""
+    def candidates(self, filtered, effort: Effort, variance: float = 0.0, scale: Float | None = None) -> Geometry:
+        """The best mutually incoherent grid points in a filtered residual, strongest first; ``scale`` (L,) gives all
+        delays the same noise.
+        """
+        if scale is not None:
+            filtered = filtered * scale[:, None, None]
         chosen = None
         if effort.delays is not None and effort.delays < len(filtered):
             parts = filtered.reshape(len(filtered), -1).view(np.float32)
@@ -308,6 +310,21 @@ class StagedSearch:
         for start in range(0, len(beams), CHUNK):
             row_peaks(parts[start : start + CHUNK] @ self.departure_vectors, energy[start : start + CHUNK])
         return energy
+
+
+BLOCK = 1 << 17
+"""Cells (or samples) worked on at a time: one megabyte, so that intermediate results stay in the second-level cache."""
+
+
+def subtracted(rows, left, right, out):
+    """``rows - left^T @ right`` (R, C) for factors (P, R) and (P, C), written to ``out``."""
+    count = max(BLOCK // rows.shape[1], 1)
+    for start in range(0, len(rows), count):
+        part = slice(start, start + count)
+        out[part] = rows[part]
+        # In place; BLAS wants column order, that is the transposes.
+        cgemm(-1.0, right.T, left[:, part], 1.0, out[part].T, overwrite_c=True)
+    return out
 
 
 def real_product(matrix):

@@ -47,21 +47,23 @@ def project(model: SignalModel, signal: Complex, blocks: Blocks) -> Complex:
 def _project_band(model: SignalModel, data: Complex, modes: list[Complex], band: Band) -> Complex:
     first = modes[0].conj().astype(np.complex64)
     partial = first.reshape(-1, first.shape[-1]) @ data.reshape(len(data), -1)
-    return project_rest(model, partial.reshape(len(first), first.shape[1], -1), modes, band)
+    return project_rest(model, partial.reshape(len(first), first.shape[1], -1), modes)
 
 
-def project_rest(model: SignalModel, partial: Complex, modes: list[Complex], band: Band) -> Complex:
+def project_rest(model: SignalModel, partial: Complex, modes: list[Complex]) -> Complex:
     """Finish a projection (P, 7) whose first mode is contracted already, ``partial`` (P, 2, product of the
     other modes).
     """
-    paths = len(partial)
-    partial = partial.reshape(paths, 2, *(mode.size for mode in band.modes[1:]))
-    # Contract the remaining modes from the last to the first, keeping a derivative axis for each.
-    for mode in modes[:0:-1]:
-        vectors = mode.conj().astype(np.complex64).swapaxes(1, 2)
-        lead = (1,) * (partial.ndim - 3)
-        partial = np.matmul(partial, vectors.reshape(paths, *lead, *vectors.shape[1:]))
-        partial = np.moveaxis(partial, -1, 2)  # (paths, c0, c_last, remaining modes ...)
+    # The remaining modes one after the other, a derivative axis for each; long contiguous rows come first.
+    shape = (len(partial), 2)
+    for mode in modes[1:]:
+        vectors = mode.conj().astype(np.complex64)
+        partial = np.matmul(
+            vectors[:, None], partial.reshape(len(partial), -1, mode.shape[-1], partial.shape[-1] // mode.shape[-1])
+        )
+        shape += (mode.shape[1],)
+        partial = partial.reshape(len(partial), -1, partial.shape[-1])
+    partial = partial.reshape(shape)
     index = tuple(model.columns[row] for row in range(len(modes)))
     return partial.astype(complex)[(slice(None), *index)]
 
