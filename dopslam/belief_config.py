@@ -52,10 +52,14 @@ class ExperimentConfig(_Frozen):
 
 
 class BeliefConfig(_Frozen):
-    """What the belief-propagation filter assumes (paper B, Sections IV and VI-A)."""
+    """What the belief-propagation filter assumes (paper B, Sections IV and VI-A).
 
-    types: Literal["paper", "aod_for_va", "single_bounce", "va_only", "ps_only"] = "paper"  # single_bounce: VAs
-    # with and without AOD, and scatterers
+    ``start``, ``engine``, ``backend``, ``speed_increment`` and ``skip`` belong to the synthetic experiment; on a scene's
+    detections the filter is Rao-Blackwellized and starts and moves as ``[track]`` says, like the other filters.
+    """
+
+    # single_bounce: VAs with and without AOD, and scatterers. None: paper in the synthetic experiment, else single_bounce.
+    types: Literal["paper", "aod_for_va", "single_bounce", "va_only", "ps_only"] | None = None
     start: Literal["informed", "uniform"] = "informed"  # by the first line of sight, or not
     engine: Literal["rao_blackwellized", "stacked"] = "rao_blackwellized"
     backend: Literal["drjit", "numba", "numpy"] = "drjit"  # of the stacked engine
@@ -66,7 +70,7 @@ class BeliefConfig(_Frozen):
     position_walk: NonNegative = 1e-3  # m per step and axis
     amplitude_walk: NonNegative = 0.05  # relative, per step
     reacquisition: Annotated[float, Field(ge=0, lt=1)] = 0.02  # weight of a uniform amplitude: lets features return
-    false_alarm_tail: Annotated[float, Field(ge=0, lt=1)] | None = None  # None: 0.1 with spurious peaks, else 0
+    false_alarm_tail: Annotated[float, Field(ge=0, lt=1)] | None = None  # None: 0.1, without spurious peaks 0
     detection_threshold: Probability = 0.5
     pruning_threshold: Probability = 1e-3
     skip: Index | None = None  # first steps left out of the RMSE; None: 20 for the uniform start, else 0

@@ -12,15 +12,8 @@ from dopslam.models.amplitude import AmplitudeModel, Radio, flat_rms_bandwidth
 from dopslam.records import SPEED_OF_LIGHT
 from dopslam.slam.bp.cases import Case
 from dopslam.slam.bp.experiment import Experiment
-from dopslam.slam.bp.records import AOD_FOR_SINGLE_BOUNCE, AOD_FOR_VA, PAPER, Form, Parameters
+from dopslam.slam.bp.records import TYPES, Form, Parameters
 
-TYPES = {
-    "paper": PAPER,
-    "aod_for_va": AOD_FOR_VA,
-    "single_bounce": AOD_FOR_SINGLE_BOUNCE,
-    "va_only": (Form.VA,),
-    "ps_only": (Form.PS,),
-}
 _CONVERGENCE = 20  # steps that a uniform start is given before its errors count
 _TAIL = 0.1  # share of the heavy tail assumed where spurious peaks are drawn
 
@@ -85,7 +78,7 @@ def parameters_of(scenario: Scenario, experiment: Experiment) -> Parameters:
     return replace(
         experiment.parameters,
         amplitude=replace(experiment.detector, tail_weight=tail),
-        types=TYPES[belief.types],
+        types=TYPES[belief.types or "paper"],
         survival=belief.survival,
         birth_rate=belief.birth_rate,
         type_switch=belief.type_switch,
@@ -108,7 +101,7 @@ def case_of(scenario: Scenario) -> Case:
         raise ConfigError(f"{scenario.name}: belief.skip = {skip} leaves none of the {experiment.steps} steps to score")
     return Case(
         experiment,
-        TYPES[belief.types],
+        TYPES[belief.types or "paper"],
         scenario.filter.particles,
         informed,
         skip,

@@ -11,6 +11,7 @@ from dopslam.models.scans import Scans, from_detections
 from dopslam.records import DetectionSeries, Kind, Landmarks
 from dopslam.simulate import FixedNoise, Situation
 from dopslam.slam.bp.adapter import Setup, turning
+from dopslam.slam.bp.records import TYPES
 from dopslam.slam.ek_pmb import FilterParameters
 
 
@@ -84,8 +85,8 @@ def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
 
 
 def belief_setup(scenario: Scenario) -> Setup:
-    """What belief propagation is told: the same as the other filters."""
-    track = scenario.track
+    """What belief propagation is told: start and motion as the other filters, the rest from ``[belief]``."""
+    track, belief = scenario.track, scenario.belief
     mean, covariance = prior(scenario)
     return Setup(
         anchor=np.array(scenario.base_station.position),
@@ -95,6 +96,16 @@ def belief_setup(scenario: Scenario) -> Setup:
         motion=turning(track.period, track.turn_rate, np.array(track.process_std)),
         speed=track.speed,
         yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
+        types=TYPES[belief.types or "single_bounce"],
+        false_alarm_tail=0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
+        position_walk=belief.position_walk,
+        birth_rate=belief.birth_rate,
+        survival=belief.survival,
+        type_switch=belief.type_switch,
+        amplitude_walk=belief.amplitude_walk,
+        reacquisition=belief.reacquisition,
+        detection_threshold=belief.detection_threshold,
+        pruning_threshold=belief.pruning_threshold,
     )
 
 

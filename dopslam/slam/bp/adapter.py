@@ -38,6 +38,8 @@ class Setup:
     types : likelihood forms; false_alarm_tail : share of false alarms as strong as paths
     position_walk : σ_y of the features [m], far below the motion of an incidence point per step
     birth_rate : new features per step; detection_probability : for detections without amplitudes
+    survival, type_switch, amplitude_walk, reacquisition, detection_threshold, pruning_threshold : as in
+        :class:`~dopslam.slam.bp.records.Parameters`
     """
 
     anchor: np.ndarray
@@ -55,6 +57,12 @@ class Setup:
     position_walk: float = 1e-3
     birth_rate: float = 0.05
     detection_probability: float = 0.9
+    survival: float = 0.999
+    type_switch: float = 0.01
+    amplitude_walk: float = 0.05
+    reacquisition: float = 0.02
+    detection_threshold: float = 0.5
+    pruning_threshold: float = 1e-3
 
 
 def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_walk: float = 0.0) -> SpeedHeading:
@@ -113,7 +121,7 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
     else:
         amplitude_end = float(max(2 * np.sqrt(series.snr.max()), 2 * np.sqrt(series.threshold)))
         amplitude = AmplitudeModel(float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end)
-        reacquisition = 0.02
+        reacquisition = setup.reacquisition
     reach = max(end - abs(float(setup.mean[3])), 1.0)
     parameters = Parameters(
         anchor=np.asarray(setup.anchor, float) * (1.0 if setup.spatial else np.array([1.0, 1.0, 0.0])),
@@ -126,6 +134,11 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
         false_alarm_rate=max(series.false_alarm_rate, 1e-3),
         distance_end=end,
         position_walk=setup.position_walk,
+        survival=setup.survival,
+        type_switch=setup.type_switch,
+        amplitude_walk=setup.amplitude_walk,
+        detection_threshold=setup.detection_threshold,
+        pruning_threshold=setup.pruning_threshold,
         rescale_covariance=False,
         spatial=setup.spatial,
     )

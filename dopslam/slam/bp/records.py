@@ -33,6 +33,13 @@ class Form(IntEnum):
 PAPER = (Form.VA, Form.PS)
 AOD_FOR_VA = (Form.VA_AOD, Form.PS)
 AOD_FOR_SINGLE_BOUNCE = (Form.VA_AOD, Form.PS, Form.VA)  # the third: reflections of higher order
+TYPES = {
+    "paper": PAPER,
+    "aod_for_va": AOD_FOR_VA,
+    "single_bounce": AOD_FOR_SINGLE_BOUNCE,
+    "va_only": (Form.VA,),
+    "ps_only": (Form.PS,),
+}
 
 
 @dataclass(frozen=True, slots=True)
