@@ -165,6 +165,8 @@ def _deepmimo(parts: list[Part], out: Path) -> None:
         savemat(out / f"{name}_t000_tx000_r001.mat", {name: np.concatenate(blocks).astype(np.float32)})
     bs = np.array([scenario.base_station.position], np.float32)
     savemat(out / "tx_pos_t000_tx000_r001.mat", {"tx_pos": bs})
+    savemat(out / "vertices.mat", {"vertices": np.zeros((0, 3))})  # no geometry: it stays in the scene's own file
+    (out / "objects.json").write_text("[]", encoding="utf-8")
     count = sum(len(table["rx_pos"]) for table in tables)
     active = sum(int(np.isfinite(table["power"][:, :1]).sum()) for table in tables)
     (out / "params.json").write_text(json.dumps(_deepmimo_params(scenario, count, active), indent=2), encoding="utf-8")

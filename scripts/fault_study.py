@@ -1,15 +1,16 @@
-"""How datasets stand up to faults: damaged files through the reader, and generation killed at random moments.
+"""How datasets stand up to faults: damaged files, kills at random moments, full and read-only disks, company.
 
     python scripts/fault_study.py mutate [--files 500] [--seed 0]
     python scripts/fault_study.py kill [--times 20] [--seed 0] [--scene ring_road] [--positions 4000]
+    python scripts/fault_study.py disk --small FOLDER [--read-only FOLDER] [--positions 2000]
+    python scripts/fault_study.py share [--times 3] [--positions 2000]
 
-``mutate`` damages a dataset file (flipped bits, overwritten, zeroed, removed, inserted and swapped ranges,
-truncation) and reads
-each copy in a process of its own: allowed are the one documented error or exactly the old content. ``kill`` sends
-SIGKILL to
-``dopslam dataset`` at random moments, resumes, and compares the manifest with that of an undisturbed run. One line of
-JSON each;
-exit code 1 if anything else happened.
+``mutate`` damages a dataset file (flipped bits, overwritten, zeroed, removed, inserted and swapped ranges, truncation)
+and reads each copy in a process of its own: allowed are the one documented error or exactly the old content. The others
+run ``dopslam dataset`` and compare the manifest with that of an undisturbed run: ``kill`` sends SIGKILL at random
+moments and resumes until that many processes have died; ``disk`` fills a small file system (a mounted one of some
+megabytes) to the brim at random, wants exit code 2 with one line, makes room and resumes; ``share`` lets two processes
+work on one folder. One line of JSON each; exit code 1 if anything else happened.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam import dataset
+from dopslam.datasets.manifest import FILE
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
 
@@ -129,58 +131,112 @@ def mutate(files: int, seed: int) -> dict:
     return {"files": files, "seed": seed, **counts, "wrong": wrong}
 
 
+def command(scene: str, positions: int) -> list[str]:
+    """``dopslam dataset`` in small shards; the folder follows."""
+    program = [sys.executable, "-c", "from dopslam.cli import main; main()", "dataset", scene]
+    settings = ["--set", "trace.samples=20000", "--set", "dataset.shard_positions=200"]
+    return [*program, "--positions", str(positions), *settings, "--resume", "--out"]
+
+
+def differences(folder: Path, calm: Path) -> list[str]:
+    """What differs from the undisturbed folder: the manifest, or files that one has alone."""
+    same = (folder / FILE).read_bytes() == (calm / FILE).read_bytes()
+    names = set(os.listdir(folder)) ^ set(os.listdir(calm))
+    return ([] if same else ["another manifest"]) + [f"only in one: {name}" for name in sorted(names)]
+
+
 def kill(times: int, seed: int, scene: str, positions: int) -> dict:
     """Kill, resume, compare."""
-    rng, killed = np.random.default_rng(seed), 0
-    program = [
-        sys.executable,
-        "-c",
-        "from dopslam.cli import main; main()",
-        "dataset",
-        scene,
-        "--positions",
-        str(positions),
-    ]
-    program += ["--set", "trace.samples=20000", "--set", "dataset.shard_positions=200", "--resume", "--out"]
+    rng, killed, finished, wrong, survivors = np.random.default_rng(seed), 0, 0, [], []
+    program = command(scene, positions)
     with tempfile.TemporaryDirectory() as place:
         calm, stormy = Path(place) / "calm", Path(place) / "stormy"
         started = time.perf_counter()
         subprocess.run([*program, str(calm)], check=True, capture_output=True)
         whole = time.perf_counter() - started
-        survivors = []
-        for _ in range(times):
+        while killed < times:
             process = subprocess.Popen([*program, str(stormy)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             time.sleep(rng.uniform(0, whole))
             if process.poll() is None:
                 process.send_signal(signal.SIGKILL)
             killed += process.wait() == -signal.SIGKILL
             survivors.append(len(list(stormy.glob("shard-*.h5"))))
-            if (stormy / "manifest.json").exists() and json.loads((stormy / "manifest.json").read_text())["complete"]:
-                same = (stormy / "manifest.json").read_bytes() == (calm / "manifest.json").read_bytes()
-                if not same:
-                    return {"killed": killed, "wrong": ["another manifest"]}
+            if (stormy / FILE).exists() and json.loads((stormy / FILE).read_text())["complete"]:
+                finished += 1
+                wrong += differences(stormy, calm)
                 shutil.rmtree(stormy)
         subprocess.run([*program, str(stormy)], check=True, capture_output=True)
-        same = (stormy / "manifest.json").read_bytes() == (calm / "manifest.json").read_bytes()
-        litter = sorted(set(os.listdir(stormy)) - set(os.listdir(calm)))
-    wrong = ([] if same else ["another manifest"]) + [
-        f"left behind: {name}" for name in litter if "manifest" not in name
-    ]
-    return {"killed": killed, "of": times, "shards_after_each": survivors, "wrong": wrong}
+        wrong += differences(stormy, calm)
+    return {"killed": killed, "finished_before": finished, "shards_after_each": survivors, "wrong": wrong}
+
+
+def disk(small: Path, read_only: Path | None, times: int, seed: int, scene: str, positions: int) -> dict:
+    """Fill the disk, run into its end, make room, resume, compare."""
+    rng, refused, wrong = np.random.default_rng(seed), 0, []
+    program = command(scene, positions)
+
+    def refusal(folder: Path) -> str:
+        done = subprocess.run([*program, str(folder)], capture_output=True, text=True, check=False)
+        lines = [line for line in done.stderr.splitlines() if line.startswith("dopslam:")]
+        return "" if done.returncode == 2 and len(lines) == 1 else f"exit {done.returncode}: {done.stderr[-200:]}"
+
+    with tempfile.TemporaryDirectory() as place:
+        calm, folder, filler = Path(place) / "calm", small / "d", small / "filler"
+        subprocess.run([*program, str(calm)], check=True, capture_output=True)
+        size = sum(p.stat().st_size for p in calm.iterdir())
+        for _ in range(times):
+            room = int(rng.uniform(0, 0.9) * size)
+            filler.write_bytes(bytes(max(0, shutil.disk_usage(small).free - room)))
+            refused += not (fault := refusal(folder))
+            wrong += [fault] if fault else []
+            filler.unlink()
+            subprocess.run([*program, str(folder)], check=True, capture_output=True)
+            wrong += differences(folder, calm)
+            shutil.rmtree(folder)
+        if read_only is not None:
+            wrong += [fault] if (fault := refusal(read_only / "d")) else []
+    return {"full": times, "refused_in_one_line": refused, "read_only": read_only is not None, "wrong": wrong}
+
+
+def share(times: int, scene: str, positions: int) -> dict:
+    """Two processes on one folder."""
+    program, wrong = command(scene, positions), []
+    with tempfile.TemporaryDirectory() as place:
+        calm = Path(place) / "calm"
+        subprocess.run([*program, str(calm)], check=True, capture_output=True)
+        for number in range(times):
+            folder = Path(place) / f"shared-{number}"
+            pair = [
+                subprocess.Popen([*program, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+                for _ in range(2)
+            ]
+            for process in pair:
+                _, errors = process.communicate()
+                wrong += [errors.decode()[-200:]] if process.returncode else []
+            wrong += differences(folder, calm)
+    return {"pairs": times, "wrong": wrong}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", choices=["mutate", "kill"])
+    parser.add_argument("study", choices=["mutate", "kill", "disk", "share"])
     parser.add_argument("--files", type=int, default=500)
-    parser.add_argument("--times", type=int, default=20)
+    parser.add_argument("--times", type=int)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", default="ring_road")
-    parser.add_argument("--positions", type=int, default=4000)
-    options = parser.parse_args()
-    if options.study == "mutate":
-        result = mutate(options.files, options.seed)
+    parser.add_argument("--positions", type=int)
+    parser.add_argument("--small", type=Path)
+    parser.add_argument("--read-only", type=Path)
+    o = parser.parse_args()
+    if o.study == "mutate":
+        result = mutate(o.files, o.seed)
+    elif o.study == "kill":
+        result = kill(o.times or 20, o.seed, o.scene, o.positions or 4000)
+    elif o.study == "share":
+        result = share(o.times or 3, o.scene, o.positions or 2000)
+    elif o.small is None:
+        parser.error("disk needs --small FOLDER, on a file system of some megabytes")
     else:
-        result = kill(options.times, options.seed, options.scene, options.positions)
+        result = disk(o.small, o.read_only, o.times or 4, o.seed, o.scene, o.positions or 2000)
     print(json.dumps(result))
     sys.exit(bool(result["wrong"]))

@@ -17,3 +17,4 @@ def test_a_shard_opens_in_xarray(made):
         assert np.array_equal(paths["a"].values, dataset.read_record(path, "paths", Paths).a)
     with xarray.open_dataset(path, group="landmarks", engine="h5netcdf") as landmarks:
         assert landmarks.sizes == {"landmark": 6, "xyz": 3}
+        assert landmarks["name"].values.tolist()[:2] == ["BS", "VA wall_east"]
