@@ -40,10 +40,11 @@ def errors_over_time(tables: dict[str, dict]) -> Figure:
             steps = table["per_step"]
             above.plot(1 + np.arange(len(steps["rmse_position"])), 1e3 * np.array(steps["rmse_position"]), label=case)
             below.plot(1 + np.arange(len(steps["rmse_heading"])), np.degrees(steps["rmse_heading"]), label=case)
-        limits = next(iter(tables.values()))["per_step"]
+        first = next(iter(tables))
+        limits = tables[first]["per_step"]
         numbers = 1 + np.arange(len(limits["bound_position"]))
-        above.plot(numbers, 1e3 * np.array(limits["bound_position"]), "k--", label="PCRB")
-        below.plot(numbers, np.degrees(limits["bound_heading"]), "k--", label="PCRB")
+        above.plot(numbers, 1e3 * np.array(limits["bound_position"]), "k--", label=f"PCRB, {first}")
+        below.plot(numbers, np.degrees(limits["bound_heading"]), "k--", label=f"PCRB, {first}")
         above.set(ylabel="position RMSE [mm]", yscale="log")
         below.set(xlabel="step", ylabel="orientation RMSE [°]", yscale="log")
         above.legend(fontsize="small")

@@ -126,7 +126,7 @@ class _Evaluated:
 
 @dataclass(frozen=True)
 class RangeOnly:
-    """The filter: parameters only; ``init`` and ``step`` are pure."""
+    """The filter: parameters only. ``step`` overwrites the arrays of the old state's maps, its largest ones."""
 
     parameters: RangeParameters
 
@@ -151,7 +151,7 @@ class RangeOnly:
     def step(
         self, rng: np.random.Generator, state: RangeState, z: Sequence[np.ndarray]
     ) -> tuple[RangeState, RangeInfo]:
-        """One step with the distances of every anchor, each (M,) m. The maps of ``state`` are used up."""
+        """One step with the distances of every anchor, each (M,) m; ``state`` is used up."""
         p, size = self.parameters, state.agent.shape[1]
         w = p.acceleration * rng.standard_normal((2, size))
         agent = np.concatenate(
