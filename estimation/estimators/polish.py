@@ -91,19 +91,19 @@ def separate_fit(
     noise_variance: float,
     interest: float = 0.0,
     iterations: int = 6,
-    tolerance: float = 0.1,
+    tolerance: float = 0.3,
 ) -> tuple[Geometry, Float]:
     """Levenberg-Marquardt of P candidates, each alone in the residual.
 
-    Candidates whose predicted gain in log-likelihood falls below ``tolerance`` stop; so do those that after
-    two steps are still
-    below half of the best and of ``interest`` (an energy), since no further step will make them win.
+    Candidates whose predicted gain in log-likelihood falls below ``tolerance`` (or is a trifle beside their energy)
+    take it as predicted and stop; so do those out of whose reach are the best and ``interest`` (an energy).
 
     Returns
     -------
     geometry, energy : refined candidates and their ``|<s, r>|^2 / |s|^2`` (P,)
     """
     count = len(geometry)
+    gained = np.zeros(count)
     vectors = [np.array(a) for a in (geometry.delay, geometry.arrival, geometry.departure, geometry.speed)]
     energy = np.zeros(count)
     gradient, lengths = np.zeros((count, 6)), np.zeros((count, 6, 6))
@@ -125,16 +125,23 @@ def separate_fit(
         if iteration == iterations:
             break
         step = _step(energy[live], gradient[live], lengths[live], damping[live])
+        rise = np.einsum("pa,pa->p", gradient[live], step)
+        step = bounded(step, lengths[live], LARGEST_STEP)
         # A strong candidate need not be exact: it goes through the joint fit anyway.
-        rising = np.einsum("pa,pa->p", gradient[live], step) > np.maximum(
-            tolerance * noise_variance, 0.01 * energy[live]
-        )
-        reach = energy[live] + PROMISE * np.einsum("pa,pa->p", gradient[live], step)
-        rising &= reach > min(0.5 * energy.max(), interest) if iteration == 0 else reach > min(energy.max(), interest)
-        live, step = live[rising], step[rising]
+        done = rise <= np.maximum(tolerance * noise_variance, 0.03 * energy[live])
+        reach = energy[live] + PROMISE * rise
+        hopeless = reach <= (min(0.5 * energy.max(), interest) if iteration == 0 else min(energy.max(), interest))
+        # So short a step does as predicted; there is no need to look.
+        last = live[done]
+        ends = Geometry(*(v[last] for v in vectors)).moved(step[done])
+        for own, new in zip(vectors, (ends.delay, ends.arrival, ends.departure, ends.speed), strict=True):
+            own[last] = new
+        gained[last] = rise[done]
+        live, step = live[~done & ~hopeless], step[~done & ~hopeless]
         if not len(live):
             break
-        trial = Geometry(*(v[live] for v in vectors)).moved(bounded(step, lengths[live], LARGEST_STEP))
+        trial = Geometry(*(v[live] for v in vectors)).moved(step)
+    energy = energy + gained
     return Geometry(*vectors), energy
 
 

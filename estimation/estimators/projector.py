@@ -85,10 +85,10 @@ class Projector:
         self._delays, self._speeds = np.empty(0), np.empty(0)
         self._windows: list[np.ndarray] = []
 
-    def inner(self, geometry: Geometry, blocks: Blocks, exact: bool = False):
+    def inner(self, geometry: Geometry, blocks: Blocks):
         """``<d_a s_p, y>`` (P, 7) of signatures (``a = 0``) and their six derivatives."""
         bases = self._bases
-        if exact or bases is None:
+        if bases is None:
             return project(self.model, self.signal, blocks)
         window = self._window_of(geometry)
         inside = bases.delay.inside(geometry.delay - self._delays[window]).conj().astype(C64)

@@ -49,7 +49,7 @@ class Linearization:
         """(P,) energy lost when a path is removed without changing the others' parameters: ``|g|^2 /
         [G^-1]_pp``.
         """
-        inverse = np.linalg.inv(self.gram[:, 0, :, 0])
+        inverse = np.linalg.inv(_regular(self.gram[:, 0, :, 0]))
         return np.abs(self.gain) ** 2 / np.maximum(np.diag(inverse).real, 1e-300)
 
     def sorted(self, order) -> Linearization:
@@ -64,13 +64,22 @@ class Linearization:
         )
 
 
-def linearize(data: Projector, geometry: Geometry, exact: bool = False) -> Linearization:
+def _regular(plain) -> np.ndarray:
+    """Gram matrix (P, P) of the signatures made invertible.
+
+    A step may take a path to where an element's pattern vanishes: it has no signature there, and its gain becomes 0.
+    """
+    own = np.diag(plain).real
+    return plain + np.diag(np.where(own > 0, 1e-9 * own, 1.0))
+
+
+def linearize(data: Projector, geometry: Geometry) -> Linearization:
     """Project the data on the paths' signatures and derivatives."""
     blocks = data.model.evaluate(geometry)
-    inner = data.inner(geometry, blocks, exact)
+    inner = data.inner(geometry, blocks)
     matrix = gram(data.model, blocks)
     plain = matrix[:, 0, :, 0]
-    gain = np.linalg.solve(plain + 1e-9 * np.diag(np.diag(plain)), inner[:, 0])
+    gain = np.linalg.solve(_regular(plain), inner[:, 0])
     residual = inner - matrix[:, :, :, 0] @ gain
     gradient = np.real(gain.conj()[:, None] * residual[:, 1:])
     return Linearization(geometry, blocks, gain, matrix, float(np.vdot(inner[:, 0], gain).real), gradient)
@@ -82,7 +91,9 @@ def information(lin: Linearization, active) -> Float:
     plain = lin.gram[:, 0, :, 0]
     mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
     weight = np.repeat(lin.gain, 6)
-    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(plain, mixed)
+    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(
+        _regular(plain), mixed
+    )
     matrix = np.real(weight.conj()[:, None] * full * weight)
     idle = np.tile(~np.asarray(active), paths)
     matrix[idle], matrix[:, idle] = 0.0, 0.0
