@@ -60,7 +60,7 @@ def run_series(estimator: Nomp, model: SignalModel, cases, seed: int, warm: bool
         found: Detections = estimator.run(signal, prior=paths if warm else None)
         times.append(1e3 * (time.thread_time() - start))
         matches.append(associate(model, found, paths, variance))
-    return Runs(matches, times, float(estimator.threshold), estimator.parameters)
+    return Runs(matches, times, estimator.level, estimator.parameters)
 
 
 def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
@@ -118,7 +118,7 @@ def accuracy(name: str, snapshots: int, snrs_db=(-20, -10, 0, 10, 20), seed: int
     pooled = Runs(
         [m for r in series.values() for m in r.matches],
         [t for r in series.values() for t in r.milliseconds],
-        float(estimator.threshold),
+        estimator.level,
         estimator.parameters,
     )
     return report_runs(pooled) | {"per_snr": {str(level): report_runs(runs) for level, runs in series.items()}}
@@ -333,13 +333,13 @@ def search_loss(
             outcome[0, row, trial] = associate(model, found, path, 1.0).detected[0]
             data = Projector(model, signal, basis)
             _, energy = separate_fit(ResidualProjector(data, None), path.geometry, 1.0, np.inf, iterations=12)
-            outcome[1, row, trial] = energy[0] > estimator.threshold
+            outcome[1, row, trial] = energy[0] > estimator.level
     hits = outcome.sum(axis=2)
 
     def shift(counts) -> float:
         def loss(delta: float) -> float:
             rho = 10 ** ((np.array(rhos_db) - delta) / 10)
-            p = np.clip(detection_probability(rho, estimator.threshold, estimator.parameters), 1e-9, 1 - 1e-9)
+            p = np.clip(detection_probability(rho, estimator.level, estimator.parameters), 1e-9, 1 - 1e-9)
             return -float(np.sum(counts * np.log(p) + (trials - counts) * np.log(1 - p)))
 
         return float(minimize_scalar(loss, bounds=(-2, 4), method="bounded").x)
@@ -356,6 +356,6 @@ def search_loss(
         "from_truth": (hits[1] / trials).tolist(),
         "loss_db": shift(hits[0]) - shift(hits[1]),
         "interval_db": np.percentile(boot, [2.5, 97.5]).tolist(),
-        "threshold": float(estimator.threshold),
+        "threshold": estimator.level,
         "trials": trials,
     }

@@ -156,7 +156,7 @@ class DelayGrid:
         if count == 1:
             return DelayGrid(np.zeros(1), 0, np.ones((1, 1), np.complex64), frequencies)
         if spacing is not None:
-            length = scipy.fft.next_fast_len(int(np.ceil(oversampling * count)))
+            length = int(scipy.fft.next_fast_len(int(np.ceil(oversampling * count))) or count)
             cells = min(int(np.ceil(max_delay * spacing * length)) + 1, length)
             delays = np.arange(cells) / (length * spacing)
             # A short transform, or a short stretch of a long one, is cheaper as a product.

@@ -63,7 +63,7 @@ class LobeMap:
         arrival = distances(arrivals, slice(1, 3), "arrival")
         departure = distances(departures, slice(3, 5), "departure")
         scale = np.sqrt(np.maximum(np.diag(scales[0]), 0))
-        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure, *metrics)
+        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure, metrics[0], metrics[1])
 
     def first_of_each(self, delay, arrival, departure, speed, count: int):
         """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are

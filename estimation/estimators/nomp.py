@@ -106,6 +106,11 @@ class Nomp:
             object.__setattr__(self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters))
 
     @property
+    def level(self) -> float:
+        """The threshold on rho in force; nothing passes before the calibration has set one."""
+        return np.inf if self.threshold is None else float(self.threshold)
+
+    @property
     def parameters(self) -> int:
         """Number of observable parameters per path."""
         return int(self.model.active.sum())
@@ -189,7 +194,7 @@ class Nomp:
                 else:
                     lin = grown
             # A quick pass is for paths that stand out; the last of them leaves nothing that would.
-            faint = len(statistic) and statistic[0] < FAINT * self.threshold
+            faint = len(statistic) and statistic[0] < FAINT * self.level
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         return data, self._pruned(data, lin, noise), noise
@@ -219,7 +224,7 @@ class Nomp:
         points = self._search.candidates(residual, effort, variance, scale)
         if not len(points):
             return points, np.zeros(0)
-        interest = np.inf if self.threshold is None else self.threshold * variance
+        interest = self.level * variance
         points, energies = separate_fit(self._search.projector(data, residual, lin, points), points, variance, interest)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
         if isinstance(self._search, StagedSearch) and len(significant):
@@ -242,7 +247,7 @@ class Nomp:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
         if not len(statistic):
             return found, False
-        least = max(self.threshold, statistic[0] * 10 ** (-self.dynamic_range / 10))
+        least = max(self.level, statistic[0] * 10 ** (-self.dynamic_range / 10))
         strong = np.flatnonzero(statistic > least)
         if not len(strong):
             return found.take(strong), False
@@ -253,15 +258,15 @@ class Nomp:
         leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(axis=1)
         leak[taken] = -np.inf
         # A strong path keeps weak ones off the list of candidates altogether.
-        crowded = statistic[0] > 10 * self.threshold or statistic[-1] > self.threshold
-        return found.take(taken), bool(crowded or np.any(statistic + leak > self.threshold))
+        crowded = statistic[0] > 10 * self.level or statistic[-1] > self.level
+        return found.take(taken), bool(crowded or np.any(statistic + leak > self.level))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
         """Remove components, weakest first, that are not worth the threshold."""
         while lin is not None:
             worth = lin.drop / noise.variance(lin)
             weakest = int(np.argmin(worth))
-            if worth[weakest] >= self.threshold:
+            if worth[weakest] >= self.level:
                 return lin
             rest = np.delete(np.arange(len(worth)), weakest)
             lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
@@ -285,11 +290,11 @@ class Nomp:
         overlap = (coherence(data.model, lin.geometry) - np.eye(len(worth))).max(axis=1, initial=0.0)
         for index in np.argsort(worth):
             # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
-            if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.threshold:
+            if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.level:
                 continue
             rest = np.delete(np.arange(len(worth)), index)
             without = self._fit(data, lin.geometry.take(rest), noise)
-            if lin.explained - without.explained < self.threshold * variance:
+            if lin.explained - without.explained < self.level * variance:
                 return without
         return None
 

@@ -16,7 +16,6 @@ import numpy as np
 from ..signal.algebra import Blocks, project, project_rest
 from ..signal.arrays import Complex
 from ..signal.model import SignalModel
-from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
 
 HALF_WIDTH = 0.5
@@ -66,14 +65,15 @@ class Bases:
     @staticmethod
     def build(model: SignalModel) -> Bases | None:
         """None where compression does not pay."""
-        waveform, mode = model.waveform, model.bands[0].modes[1]
+        waveform = model.waveform
         if model.subbands > 1 or waveform.subcarriers < 24:
             return None
         delay = Basis.build(-2j * np.pi * waveform.frequencies)
-        digital = isinstance(mode, TimeMode) and mode.transmitter is None and mode.receiver is None
-        if not digital or len(mode.times) < 12 or np.ptp(mode.times) == 0:
+        digital = model.schedule.precoders is None and model.schedule.combiners is None
+        times = model.schedule.times
+        if not digital or len(times) < 12 or np.ptp(times) == 0:
             return Bases(delay, None)
-        return Bases(delay, Basis.build(2j * np.pi / mode.wavelength * mode.times))
+        return Bases(delay, Basis.build(2j * np.pi / waveform.wavelength * times))
 
 
 class Projector:
@@ -90,7 +90,7 @@ class Projector:
         bases = self._bases
         if bases is None:
             return project(self.model, self.signal, blocks)
-        window = self._window_of(geometry)
+        window = self._window_of(geometry, bases)
         inside = bases.delay.inside(geometry.delay - self._delays[window]).conj().astype(C64)
         partial = np.empty((*inside.shape[:2], self._windows[0].shape[1]), C64)
         for p, w in enumerate(window):
@@ -100,8 +100,7 @@ class Projector:
             modes = [modes[0], bases.time.inside(geometry.speed - self._speeds[window]), *modes[2:]]
         return project_rest(self.model, partial, modes)
 
-    def _window_of(self, geometry: Geometry):
-        bases = self._bases
+    def _window_of(self, geometry: Geometry, bases: Bases):
         window = np.empty(len(geometry), int)
         fresh = len(self._delays)
         for p, (delay, speed) in enumerate(zip(geometry.delay, geometry.speed, strict=True)):

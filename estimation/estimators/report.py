@@ -31,7 +31,7 @@ def empty(estimator: Nomp, noise_variance: float) -> Detections:
         square,
         np.empty(0),
         float(noise_variance),
-        float(estimator.threshold),
+        estimator.level,
         estimator.false_alarm_rate,
         np.empty(0, np.uint8),
         estimator.model.active,
@@ -66,7 +66,7 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     flags = np.zeros(len(snr), np.uint8)
     overlap = coherence(model, geometry) - np.eye(len(snr))
     flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
-    flags[snr < 1.41 * estimator.threshold] |= np.uint8(Flag.WEAK)
+    flags[snr < 1.41 * estimator.level] |= np.uint8(Flag.WEAK)
     inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(geometry.departure)
     inside &= model.receiver.faces(geometry.arrival) & model.transmitter.faces(geometry.departure)
     inside &= (np.abs(geometry.speed) <= estimator.max_speed) & (geometry.delay <= estimator.max_delay)
@@ -88,7 +88,7 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
         tangent,
         snr,
         float(noise_variance),
-        float(estimator.threshold),
+        estimator.level,
         estimator.false_alarm_rate,
         flags,
         model.active,

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.blas import cgemm
+from scipy.linalg.blas import cgemm  # pyright: ignore[reportAttributeAccessIssue]
 
 from ..signal.algebra import Blocks
 from ..signal.arrays import Complex
@@ -155,7 +155,7 @@ class StagedSearch:
             np.concatenate([order, order + first.size], axis=1),
             gather,
             real_rows(arrival.conj()),
-            real_pairs(arrival),
+            real_pairs(arrival).astype(np.float32),
             real_product(departure.conj()),
             np.stack([stacked_product(np.exp(1j * q)) for q in phase]),
             np.ascontiguousarray(np.exp(1j * phase).transpose(2, 0, 1)).astype(C64),

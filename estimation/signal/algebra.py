@@ -7,7 +7,7 @@ Index 0 of the axes of length 7 is the signature itself, 1..6 its derivative alo
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.blas import cgemm
+from scipy.linalg.blas import cgemm  # pyright: ignore[reportAttributeAccessIssue]
 
 from .arrays import Complex
 from .model import Band, SignalModel, flat

@@ -182,7 +182,7 @@ class SignalModel:
 
     def whiten(self, signal: Complex) -> Complex:
         """The signal with white noise (a copy only where needed)."""
-        if self.white:
+        if self.white or self._whitener is None:
             return signal
         per_symbol = self._whitener.astype(signal.dtype)[self.schedule.combiner_index]
         return np.einsum("nij,knj...->kni...", per_symbol, signal)
@@ -191,7 +191,7 @@ class SignalModel:
         """White noise of the model's shape given the covariance ``W_n^H W_n``; a whitened signal likewise
         returns to its ports.
         """
-        if self.white:
+        if self.white or self._whitener is None:
             return noise
         per_symbol = np.linalg.inv(self._whitener).astype(noise.dtype)[self.schedule.combiner_index]
         return np.einsum("nij,knj...->kni...", per_symbol, noise)

@@ -114,8 +114,10 @@ def sweep(
     beams = np.asarray(beams, complex)
     if order not in ORDERS:
         raise ModelError(f"sweep: order must be one of {', '.join(ORDERS)}; got {order!r}")
-    if order in ("permuted", "same_permutation") and rng is None:
-        raise ModelError(f"sweep: order {order!r} needs rng=np.random.default_rng(seed)")
+    if rng is None:
+        if order in ("permuted", "same_permutation"):
+            raise ModelError(f"sweep: order {order!r} needs rng=np.random.default_rng(seed)")
+        rng = np.random.default_rng(0)  # never drawn from
     count, settings = len(beams), 1 if combiners is None else len(combiners)
     if order == "dwell":
         index = np.repeat(np.arange(count), sweeps)

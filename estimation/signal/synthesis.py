@@ -32,9 +32,12 @@ def synthesize(
     """
     if not np.isfinite(noise_variance) or noise_variance < 0:
         raise ModelError(f"synthesize: noise_variance must be finite and not negative, got {noise_variance}")
-    if noise_variance > 0 and rng is None:
+    if noise_variance == 0:
+        signal = np.zeros(model.shape, np.complex64)
+    elif rng is None:
         raise ModelError("synthesize: noise needs rng=np.random.default_rng(seed)")
-    signal = noise_of(model, noise_variance, rng) if noise_variance > 0 else np.zeros(model.shape, np.complex64)
+    else:
+        signal = noise_of(model, noise_variance, rng)
     if len(paths):
         signal = add_signal(model, model.evaluate(paths.geometry), paths.gain, signal)
     return model.color(signal)
