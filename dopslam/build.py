@@ -71,7 +71,8 @@ def situation(scenario: Scenario, reading: str = "std") -> Situation:
 def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
     """Detections of a run as the filters read them."""
     traced = scenario.source.kind == "traced"
-    limit = scenario.estimator.max_radial_velocity if traced else scenario.track.speed
+    moving = not traced and scenario.track.speed > 0  # a still receiver's own speed bounds nothing
+    limit = scenario.track.speed if moving else scenario.estimator.max_radial_velocity
     yaw = np.deg2rad(scenario.base_station.yaw_deg)
     return from_detections(detections, bs_yaw=yaw, doppler_span=2 * limit)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from dopslam.cli.common import Settings, overrides, progress_display, worker_count
 
 
-def estimate(dataset: Path, *, jobs: int | None = None, settings: Settings = None) -> None:
+def estimate(dataset: Path, *, jobs: int | None = None, cluster: str | None = None, settings: Settings = None) -> None:
     """Estimate the paths of every snapshot: detections with covariances.
 
     Uses the stored signal; without one, the signal of the stored paths is made on the fly, the same to the last bit.
@@ -18,10 +18,13 @@ def estimate(dataset: Path, *, jobs: int | None = None, settings: Settings = Non
         A file with a signal, or with track and paths.
     jobs
         Worker processes; by default one for each core. The result does not depend on it.
+    cluster
+        Address of a Dask scheduler (tcp://host:8786) whose workers do it instead; needs the extra [cluster].
     settings
         Override a scenario key, for instance --set estimator.false_alarm_rate=0.1.
     """
     from dopslam import stages
+    from dopslam.cluster import workers
 
-    with progress_display() as progress:
-        stages.estimate(dataset, overrides(settings), worker_count(jobs), progress)
+    with workers(cluster) as threads, progress_display() as progress:
+        stages.estimate(dataset, overrides(settings), threads or worker_count(jobs), progress)

@@ -21,6 +21,7 @@ def montecarlo(
     prior: Literal["std", "var"] = "std",
     seed: int = 0,
     jobs: int | None = None,
+    cluster: str | None = None,
     json: Path | None = None,
     settings: Settings = None,
 ) -> None:
@@ -48,6 +49,8 @@ def montecarlo(
         Seed of the study; run r depends on seed and r only.
     jobs
         Worker processes; default one per core. The numbers are the same for any.
+    cluster
+        Address of a Dask scheduler (tcp://host:8786) whose workers do it instead; needs the extra [cluster].
     json
         Write everything, per-step arrays included, to this file.
     settings
@@ -55,12 +58,15 @@ def montecarlo(
     """
     if filter_name == "bp":
         from dopslam.cli.belief import belief_study
+        from dopslam.cluster import workers
 
-        belief_study(scene, overrides(settings), runs, particles, seed, worker_count(jobs), json)
+        with workers(cluster) as threads:
+            belief_study(scene, overrides(settings), runs, particles, seed, threads or worker_count(jobs), json)
         return
     from rich.console import Console
     from rich.table import Table
 
+    from dopslam.cluster import workers
     from dopslam.config import load
     from dopslam.montecarlo import run_study, summarize, warm_up
     from dopslam.report.folder import write_json
@@ -69,7 +75,8 @@ def montecarlo(
     doppler, std = doppler_choice(doppler_std)
     plan = study(load(scene, overrides(settings)), filter_name, prior, doppler, std)
     compilation = warm_up(plan)
-    result = summarize(run_study(plan, runs, seed, worker_count(jobs)), plan)
+    with workers(cluster) as threads:
+        result = summarize(run_study(plan, runs, seed, threads or worker_count(jobs)), plan)
     result = {
         "scene": scene,
         "source": source,

@@ -1,5 +1,6 @@
 """Dask workers as separate processes on the loopback interface: the same numbers as without them."""
 
+import json
 import os
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 
 from dopslam import cluster
 from dopslam.config import load
+from dopslam.datasets import maker
 from dopslam.errors import DopslamError
 from dopslam.montecarlo import run_study
 from dopslam.studies import study
@@ -85,6 +87,26 @@ def test_detections_are_the_same_on_two_dask_workers(scheduler, worker, tmp_path
     with cluster.workers(scheduler) as threads:
         spread = worker.make(tmp_path / "b", 6, settings=SMALL, detections=True, jobs=threads)
     assert spread == alone
+
+
+def test_the_command_line_sends_its_work_there(scheduler, worker, tmp_path, call, monkeypatch):
+    monkeypatch.setattr(maker, "ShardTracer", worker.PlainTracer)
+    settings = [word for text in [*worker.SETTINGS, *SMALL] for word in ("--set", text)]
+    make = ["dataset", "ring_road", "--positions", "6", "--detections", *settings]
+    assert call(*make, "--out", tmp_path / "a", "--jobs", "1") == 0
+    assert call(*make, "--out", tmp_path / "b", "--cluster", scheduler) == 0
+    assert (tmp_path / "a" / "manifest.json").read_bytes() == (tmp_path / "b" / "manifest.json").read_bytes()
+    (tmp_path / "s.toml").write_text(
+        'scenario = "ring_road"\nruns = 3\nset = ["track.steps=4"]\n[vary]\n"source.model.clutter_rate" = [0.5, 2.0]\n'
+    )
+    assert call("sweep", tmp_path / "s.toml", "--out", tmp_path / "c", "--jobs", "1") == 0
+    assert call("sweep", tmp_path / "s.toml", "--out", tmp_path / "d", "--cluster", scheduler) == 0
+    assert (tmp_path / "c" / "table.csv").read_bytes() == (tmp_path / "d" / "table.csv").read_bytes()
+    study = ["montecarlo", "ring_road", "--runs", "3", "--set", "track.steps=4"]
+    assert call(*study, "--jobs", "1", "--json", tmp_path / "e") == 0
+    assert call(*study, "--cluster", scheduler, "--json", tmp_path / "f") == 0
+    e, f = (json.loads((tmp_path / name).read_text()) for name in "ef")
+    assert e["nees_mean"] == f["nees_mean"] and e["per_step"]["rmse_position"] == f["per_step"]["rmse_position"]
 
 
 def test_an_address_without_a_scheduler_is_one_error(monkeypatch):

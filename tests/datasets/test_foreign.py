@@ -158,6 +158,54 @@ def test_two_dimensional_angles_without_doppler_run(tmp_path, ours, call):
     assert np.all(np.isfinite(history.mean)) and history.steps == ours.steps
 
 
+PLANE = """
+[columns]
+time = "t"
+delay = "toa"
+aoa_azimuth = "phi"
+[units]
+delay = "ns"
+aoa_azimuth = "deg"
+[std]
+delay = 0.5
+aoa_azimuth = 2.0
+aoa_elevation = 0.01
+[assumed]
+aoa_elevation = 0.0
+"""
+
+
+@pytest.mark.parametrize(("step", "seed"), [(0.0, 0), (0.5, 1)])
+def test_delay_and_arrival_in_the_plane_place_a_receiver_without_odometry(tmp_path, call, step, seed):
+    """Still, or walking at random with a speed of zero in the filter; four walls unknown, a tenth of the paths missed."""
+    rng, count = np.random.default_rng(seed), 40
+    place = np.array([60.0, 10.0]) + np.cumsum(rng.normal(size=(count, 2)) * step, axis=0)
+    heading = np.pi / 2 + np.cumsum(rng.normal(size=count) * 0.01)
+    anchors = np.array([[0, 0], [200, 0], [-200, 0], [0, 200], [0, -200.0]])
+    k, m = np.nonzero(rng.random((count, len(anchors))) < 0.9)
+    apart = anchors[m] - place[k]
+    columns = {
+        "t": k + 0.0,
+        "toa": (np.hypot(*apart.T) + rng.normal(size=len(k)) * 0.15) / 0.299792458,
+        "phi": np.degrees(np.arctan2(apart[:, 1], apart[:, 0]) - heading[k] + rng.normal(size=len(k)) * 0.035),
+    }
+    table, rule = write(tmp_path, columns, PLANE)
+    settings = [
+        "track.speed=0", "track.turn_rate=0", "track.period=1.0", "track.start=[60, 10, 1.57, 0]",
+        "track.start_std=[1, 1, 0.05, 0.1]", f"track.process_std=[{step}, {step}, 0.01, 0.001]", "base_station.position=[0, 0, 0]",
+    ]  # fmt: skip
+    command = ["import", table, "--map", rule, "--scenario", "ring_road", "--out", tmp_path / "d.h5"]
+    assert call(*command, *(word for text in settings for word in ("--set", text))) == 0
+    history = slam(call, tmp_path / "d.h5", "--doppler-std", "none")
+    error = np.linalg.norm(history.mean[:, :2] - place, axis=1)
+    assert history.steps == count
+    if step:
+        lost = np.linalg.norm(place - place[0], axis=1)
+        assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(lost**2))
+    else:
+        assert error[-1] < 3 * np.sqrt(np.trace(history.covariance[-1][:2, :2]))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
