@@ -25,6 +25,7 @@ from .dense import DenseSearch
 from .detect import calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .grids import EVERYWHERE, View, directions_in
+from .mirror import MirroredSearch
 from .polish import separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
@@ -65,7 +66,7 @@ class Nomp:
     threshold: float | None = None
     dense_multipath: bool = False
     search_options: dict = field(default_factory=dict)
-    _search: StagedSearch | DenseSearch = field(init=False, repr=False)
+    _search: StagedSearch | DenseSearch | MirroredSearch = field(init=False, repr=False)
     _basis: Bases | None = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
@@ -299,16 +300,11 @@ class Nomp:
         return None
 
 
-def search_kind(model: SignalModel) -> type[StagedSearch] | type[DenseSearch]:
+def search_kind(model: SignalModel) -> type[StagedSearch] | type[DenseSearch] | type[MirroredSearch]:
     """The coarse search that fits a link's architecture."""
     if model.schedule.precoders is not None:
         return StagedSearch
-    if model.schedule.combiners is None:
-        return DenseSearch
-    raise ModelError(
-        "Nomp: no coarse search exists for combiners with a digital transmitter; give the schedule "
-        "precoders, or combine digitally"
-    )
+    return DenseSearch if model.schedule.combiners is None else MirroredSearch
 
 
 def lone(model: SignalModel, geometry: Geometry, energy) -> np.ndarray:

@@ -15,6 +15,7 @@ from estimation import (
     Nomp,
     PathTable,
     Sage,
+    Schedule,
     SignalModel,
     View,
     comb,
@@ -81,6 +82,20 @@ def test_hybrid_link(tmp_path):
     rng = np.random.default_rng(8)
     for _ in range(3):
         paths = at_snr(model, draw_paths(model, rng, Draw(paths=4)), 10 ** rng.uniform(2.0, 3.5, 4))
+        assert found_all(model, estimator.run(synthesize(model, paths, 1.0, rng)), paths)
+
+
+def test_combiners_with_a_digital_transmitter():
+    """No beams to sweep: the staged search reads the link backwards, where the combiners are the beams."""
+    rng = np.random.default_rng(18)
+    combiners = rng.standard_normal((4, 8, 4)) + 1j * rng.standard_normal((4, 8, 4))
+    index = np.concatenate([rng.permutation(4) for _ in range(6)])
+    schedule = Schedule(40e-6 * np.arange(24), None, None, combiners, index)
+    model = SignalModel(comb(28e9, 6.25e6, 32), schedule, ura(2, 4), ura(2, 4))
+    estimator = Nomp(model, threshold=26.0, **VIEWS)
+    for _ in range(3):
+        paths = draw_paths(model, rng, Draw(paths=3))
+        paths = at_snr(model, paths, 10 ** rng.uniform(2.2, 4.0, 3))
         assert found_all(model, estimator.run(synthesize(model, paths, 1.0, rng)), paths)
 
 
