@@ -16,11 +16,23 @@ import numpy as np
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile `function` lazily with numba, caching the machine code on disk if a folder can be written."""
+    return _compiled(function)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """The same for a function with one caller, whose code becomes part of the caller's.
+
+    Every compiled function optimizes all the code below it once more, so that a long function cut into pieces, each
+    compiled for itself, costs its compilation several times.
+    """
+    return _compiled(function, inline="always")
+
+
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     try:
-        dispatcher = numba.njit(cache=True, error_model="numpy")(function)
+        return numba.njit(cache=True, error_model="numpy", **options)(function)
     except RuntimeError:  # "cannot cache function ...: no locator available for file"
-        return numba.njit(error_model="numpy")(function)
-    return dispatcher
+        return numba.njit(error_model="numpy", **options)(function)
 
 
 def compiled_without_lock(function: Callable[..., Any]) -> Any:

@@ -89,7 +89,7 @@ class RunResult:
     failure: str = ""
 
 
-def correct_association_weight(scans: Scans, diagnostics: Diagnostics) -> Array:
+def correct_association_weight(scans: Scans, diagnostics: Diagnostics, history: History) -> Array:
     """Normalized weight (K,) of the true data association among those kept.
 
     True means: every measurement goes to the BS, to the established track born from the same landmark, or to
@@ -108,9 +108,8 @@ def correct_association_weight(scans: Scans, diagnostics: Diagnostics) -> Array:
         expected = np.array([BS_TRACK if x == 0 else owner.get(int(x), NO_TRACK) for x in labels], dtype=np.int64)
         match = (diagnostics.associations[k] == expected).all(axis=1)
         weight[k] = diagnostics.weights[k][match].sum() / diagnostics.weights[k].sum()
-        established = {}
-        for track, block in zip(*(c.tolist() for c in diagnostics.map_existence[k]), strict=True):
-            established[track] = established.get(track, 0.0) + block
+        rows = history.rows(k)
+        established = dict(zip(history.track[rows].tolist(), history.existence[rows].tolist(), strict=True))
     return weight
 
 
@@ -160,7 +159,7 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
         nis=diagnostics.nis / np.maximum(diagnostics.nis_rows, 1),
         gospa_va=maps[0],
         gospa_sp=maps[1],
-        correct_weight=correct_association_weight(scans, diagnostics),
+        correct_weight=correct_association_weight(scans, diagnostics, history),
         seconds=seconds,
     )
 

@@ -24,7 +24,7 @@ from dopslam.evaluation import true_association
 from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
-from dopslam.slam import ek_pmb
+from dopslam.slam import ek_pmb, smoother
 from dopslam.slam.ek_pmb import History
 
 Progress = Callable[[str, int, int], None]
@@ -301,7 +301,8 @@ def slam(
 
     Parameters
     ----------
-    density : ``"joint"``, ``"marginal"`` or ``"bp"`` (paper B); default the scenario's
+    density : ``"joint"``, ``"marginal"``, ``"smoother"`` (fixed lag over joint) or ``"bp"`` (paper B); default the
+        scenario's
     doppler : whether the Doppler row is used; belief propagation never does
     seed : of the particles of belief propagation
 
@@ -310,19 +311,25 @@ def slam(
     FilterError
         If the detections cannot be filtered.
     """
-    if (density or scenario.filter.density) == "bp":
+    density = density or scenario.filter.density
+    if density == "bp":
         from dopslam.slam.bp import adapter
 
         return adapter.slam(detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed)
     detection = build.detection_model(scenario, detections.threshold)
-    history, _ = ek_pmb.run(
+    smoothed = density == "smoother"
+    arguments = (
         build.scans(scenario, detections),
         build.prior(scenario),
         build.motion(scenario),
         np.array(scenario.base_station.position),
-        build.filter_parameters(scenario, detection, density, doppler),
+        build.filter_parameters(scenario, detection, "joint" if smoothed else density, doppler),
         scenario.receiver.height,
     )
+    if smoothed:
+        history, _ = smoother.run(*arguments, smoother.SmootherParameters(lag=scenario.filter.lag))
+    else:
+        history, _ = ek_pmb.run(*arguments)
     return history
 
 

@@ -87,6 +87,8 @@ VARIANTS = {
     "joint, no Doppler": ("joint", False),
     "marginal": ("marginal", True),
     "marginal, no Doppler": ("marginal", False),
+    "smoother": ("smoother", True),
+    "smoother, no Doppler": ("smoother", False),
     "bp, no Doppler": ("bp", False),
 }
 

@@ -13,6 +13,7 @@ from dopslam.montecarlo import Study, correct_association_weight, run_once, run_
 from dopslam.simulate import section_v, simulate
 from dopslam.slam import ek_pmb
 from dopslam.slam.ek_pmb import Diagnostics, FilterParameters
+from dopslam.slam.history import history_of
 
 RUNS = 60
 mc = pytest.mark.mc
@@ -127,13 +128,11 @@ def test_weight_of_the_correct_association():
         weights=(np.array([1.0]), np.array([0.7, 0.3]), np.array([0.6, 0.4])),
         associations=(np.array([[-1, -2]]), np.array([[1, -2], [-2, 1]]), np.array([[-2], [1]])),
         existence=(np.zeros(2), np.zeros(2), np.zeros(1)),
-        map_existence=(
-            (np.array([1, 1]), np.array([0.5, 0.4])),
-            (np.array([1]), np.array([0.9])),
-            (np.array([]), np.array([])),
-        ),
     )
-    np.testing.assert_allclose(correct_association_weight(scans, diagnostics), [1.0, 0.7, 0.4])
+    table = np.zeros((2, 16))
+    table[:, 12], table[:, 15] = 0.9, 1  # one track, existing in the first two steps
+    history = history_of(np.zeros((3, 4)), np.zeros((3, 4, 4)), np.array([0, 1, 2, 2]), table)
+    np.testing.assert_allclose(correct_association_weight(scans, diagnostics, history), [1.0, 0.7, 0.4])
 
 
 def test_bound_table_from_the_command_line(tmp_path, capsys):

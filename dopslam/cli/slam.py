@@ -13,7 +13,7 @@ from dopslam.cli.common import Settings, doppler_choice, overrides
 def slam(
     dataset: Path,
     *,
-    density: Annotated[Literal["joint", "marginal", "bp"] | None, Parameter(name="--filter")] = None,
+    density: Annotated[Literal["joint", "marginal", "smoother", "bp"] | None, Parameter(name="--filter")] = None,
     doppler_std: str | None = None,
     settings: Settings = None,
 ) -> None:
@@ -24,8 +24,8 @@ def slam(
     dataset
         A file with detections.
     density
-        joint keeps the cross-covariances of receiver and map, marginal drops them as paper A does, bp is the belief
-        propagation of paper B (without Doppler).
+        joint keeps the cross-covariances of receiver and map, marginal drops them as paper A does, smoother
+        adds a fixed lag of filter.lag steps to joint, bp is the belief propagation of paper B (without Doppler).
     doppler_std
         none: leave Doppler out. (A number sets its standard deviation where detections come from the model.)
     settings

@@ -18,6 +18,7 @@ from dopslam.slam.pmb import look_up
 
 MAX_STEPS = 8
 OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
+TWIN = 5.0  # an SP is hardly more than e^5 times as likely as its VA twin, equal intensities given (both fit alike)
 CONVERGED = 1e-2  # remaining decrease of χ² below which Gauss-Newton stops
 REDUNDANT_LIMIT = 50.0  # χ²_min above which a measurement is no single-bounce path
 
@@ -258,10 +259,13 @@ def new_hypotheses(density, n, scan, local, model):
         best_track = -np.inf
         for t in range(local.log_ratio.shape[1]):
             best_track = max(best_track, local.log_ratio[p, t])
+        twin = np.inf  # how well the VA fits, and with it the SP at its incidence point
         for t in range(2):
             kind = VA + t
             most = math.log(model.intensity[t] + model.birth_intensity[t]) + constant
             x = position[p, t]
+            if t == 1 and twin + TWIN + most < best_track - OUTWEIGHED:
+                continue
             if not starting_point(scan.z[p], state, kind, model.site, x):
                 continue
             valid, chi2, log_volume = fit_landmark(
@@ -278,6 +282,8 @@ def new_hypotheses(density, n, scan, local, model):
             )
             if not valid or not chi2 < REDUNDANT_LIMIT:
                 continue
+            if t == 0:
+                twin = log_volume - 0.5 * chi2
             reference = scan.log_snr[p] + log_spreading(kind, x, state, model.site)
             detected = look_up(model.table, scan.log_snr[p]) * visible_share(x, covariance, state, kind, model)
             intensity = undetected_intensity(x, covariance, kind, reference, density, model)

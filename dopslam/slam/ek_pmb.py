@@ -8,19 +8,18 @@ Gaussian over UE and landmarks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector
+from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.errors import FilterError
 from dopslam.models.kernels import propagate_state
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.birth import new_hypotheses
+from dopslam.slam.history import COLUMNS, Diagnostics, History, history_of, write_map
 from dopslam.slam.hypotheses import Associations, best_associations, local_hypotheses, normalize
 from dopslam.slam.pmb import (
     BS_TRACK,
@@ -104,7 +103,7 @@ def predict(density, model):
     )
 
 
-@compiled
+@inlined
 def worth_updating(associations, negligible):
     """The associations above `negligible` times the best weight, renormalized."""
     keep = 0
@@ -130,7 +129,7 @@ def prune(density, threshold):
     return select(density, kept[:count])
 
 
-@compiled
+@inlined
 def name_tracks(prior, local, associations, final_log_weight):
     """Diagnostics: weights (the likeliest association first), track numbers and existence."""
     count = associations.track.shape[1]
@@ -162,7 +161,7 @@ def name_tracks(prior, local, associations, final_log_weight):
     return weight, track, existence
 
 
-@compiled
+@inlined
 def step(posterior, scan, model):
     """One recursion (30) with γ data associations; returns the next posterior and its diagnostics.
 
@@ -183,112 +182,71 @@ def step(posterior, scan, model):
     return prune(updated, model.prune), Info(weight, track, existence, nis, rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnostics:
-    """What happened inside a run, one entry per step.
+@compiled
+def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
+    """The recursion over all scans; `at[0]` holds the step in work, for the message of an error.
 
-    Attributes
+    Parameters
     ----------
-    nis, nis_rows : (K,) arrays; νᵀS⁻¹ν of the likeliest association and its degrees of freedom
-    weights : K arrays (g,); normalized association weights, the likeliest first
-    associations : K arrays (g, M); track of each measurement, -1 the BS, -2 new or clutter
-    existence : K arrays (M,); predicted existence of the track each measurement went to
-    map_existence : K pairs (track (H,), weight (H,)) of all blocks after each step; siblings repeat their
-    track
+    z, covariance, log_snr : (N, m), (N, m, m), (N,) arrays; scan k owns rows offsets[k]:offsets[k + 1]
+    clutter : float; clutter intensity c(z)
+    density : PMB before the first scan
+    model : Model
+    at : (1,) int array
+
+    Returns
+    -------
+    density : PMB after the last scan
+    mean, covariance, map_offsets, table : as `history.history_of` reads them
+    weight, count : (K, γ), (K,) arrays; association weights and how many there are
+    track : (γ, N) int array; track of each measurement in each association
+    existence, nis, rows : (N,), (K,), (K,) arrays; as in `Info`
     """
+    steps, n = offsets.shape[0] - 1, density.mean.shape[0]
+    mean, spread = np.empty((steps, n)), np.empty((steps, n, n))
+    map_offsets, table = np.zeros(steps + 1, dtype=np.int64), np.empty((16 * steps, COLUMNS))
+    weight, count = np.zeros((steps, model.gamma)), np.empty(steps, dtype=np.int64)
+    track, existence = np.empty((model.gamma, z.shape[0]), dtype=np.int64), np.empty(z.shape[0])
+    nis, rows = np.empty(steps), np.empty(steps, dtype=np.int64)
+    for k in range(steps):
+        at[0] = k
+        first, last = offsets[k], offsets[k + 1]
+        scan = Scan(z[first:last], covariance[first:last], log_snr[first:last], first, clutter)
+        density, info = step(density, scan, model)
+        copy_vector(density.mean[:n], mean[k])
+        copy_matrix(density.covariance[:n, :n], spread[k])
+        while map_offsets[k] + density.kind.shape[0] > table.shape[0]:
+            larger = np.empty((2 * table.shape[0], COLUMNS))
+            copy_matrix(table, larger)
+            table = larger
+        map_offsets[k + 1] = write_map(density, table, map_offsets[k])
+        count[k] = info.weight.shape[0]
+        copy_vector(info.weight, weight[k])
+        copy_matrix(info.track, track[:, first:last])
+        copy_vector(info.existence, existence[first:last])
+        nis[k], rows[k] = info.nis, info.rows
+    return density, mean, spread, map_offsets, table[: map_offsets[steps]], weight, count, track, existence, nis, rows
 
-    nis: Array
-    nis_rows: NDArray[np.int64]
-    weights: tuple[Array, ...]
-    associations: tuple[NDArray[np.int64], ...]
-    existence: tuple[Array, ...]
-    map_existence: tuple[tuple[NDArray[np.int64], Array], ...]
 
-
-@dataclass(frozen=True, slots=True)
-class History:
-    """State and map after every step; the map is ragged, step k owns rows map_offsets[k]:map_offsets[k + 1].
-
-    Attributes
-    ----------
-    mean : (K, n) array [m, m, rad, m(, m/s, rad/s)]
-    covariance : (K, n, n) array
-    map_offsets : (K + 1,) int array
-    position : (N, 3) array [m]; of the track's likelier type
-    position_covariance : (N, 3, 3) array
-    existence : (N,) array; r of the track
-    va_probability : (N,) array; P(VA | exists)
-    kind : (N,) int array; the likelier type, 1 VA or 2 SP
-    track : (N,) int array; number of the measurement that bore the track
+def scan_arrays(scans: Scans, doppler: bool) -> tuple[Array, Array, Array, NDArray[np.int64], float]:
+    """Measurements, covariances, ln ρ (zeros where unknown), offsets and clutter intensity of all scans, with or
+    without the Doppler row.
     """
-
-    mean: Array
-    covariance: Array
-    map_offsets: NDArray[np.int64]
-    position: Array
-    position_covariance: Array
-    existence: Array
-    va_probability: Array
-    kind: NDArray[np.int64]
-    track: NDArray[np.int64]
-
-    @property
-    def steps(self) -> int:
-        """Number of steps K."""
-        return len(self.mean)
-
-    def rows(self, step: int) -> slice:
-        """Map rows of one step."""
-        return slice(int(self.map_offsets[step]), int(self.map_offsets[step + 1]))
-
-    def reported(self, step: int, kind: int, threshold: float = 0.5) -> Array:
-        """Positions (·, 3) of the landmarks of one kind with existence above the threshold."""
-        rows = self.rows(step)
-        wanted = (self.kind[rows] == kind) & (self.existence[rows] > threshold)
-        return self.position[rows][wanted]
+    m = 6 if doppler else 5
+    return (
+        np.array(scans.z[:, :m], order="C"),  # a copy: read-only arrays would be compiled for anew
+        np.array(scans.covariance[:, :m, :m], order="C"),
+        np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12)),
+        scans.offsets.astype(np.int64),
+        scans.clutter_intensity(doppler),
+    )
 
 
 def scan_of(scans: Scans, k: int, doppler: bool) -> Scan:
     """Scan k in the form the recursion reads, with or without its Doppler row."""
-    rows = scans.rows(k)
-    m = 6 if doppler else 5
-    z = np.ascontiguousarray(scans.z[rows, :m])
-    return Scan(
-        z=z,
-        covariance=np.ascontiguousarray(scans.covariance[rows, :m, :m]),
-        log_snr=np.zeros(len(z)) if scans.snr is None else np.log(np.maximum(scans.snr[rows], 1e-12)),
-        first=rows.start,
-        clutter=scans.clutter_intensity(doppler),
-    )
-
-
-@compiled
-def extract(posterior):
-    """Map of a density, one row per track: position, covariance, existence, P(VA), kind, track number."""
-    n = ue_size(posterior)
-    blocks = posterior.kind.shape[0]
-    position, covariance = np.empty((blocks, 3)), np.empty((blocks, 3, 3))
-    existence, va = np.zeros(blocks), np.zeros(blocks)
-    kind, track = np.zeros(blocks, dtype=np.int64), np.zeros(blocks, dtype=np.int64)
-    count = 0
-    b = 1
-    while b < blocks:
-        best, last = b, b
-        while last < blocks and posterior.track[last] == posterior.track[b]:
-            existence[count] += posterior.weight[last]
-            if posterior.kind[last] == 1:
-                va[count] += posterior.weight[last]
-            if posterior.weight[last] > posterior.weight[best]:
-                best = last
-            last += 1
-        va[count] /= max(existence[count], 1e-300)
-        start = n + 3 * (best - 1)
-        copy_vector(posterior.mean[start : start + 3], position[count])
-        copy_matrix(posterior.covariance[start : start + 3, start : start + 3], covariance[count])
-        kind[count], track[count] = posterior.kind[best], posterior.track[best]
-        count += 1
-        b = last
-    return position[:count], covariance[:count], existence[:count], va[:count], kind[:count], track[:count]
+    z, covariance, log_snr, offsets, clutter = scan_arrays(scans, doppler)
+    rows = slice(int(offsets[k]), int(offsets[k + 1]))
+    return Scan(z[rows], covariance[rows], log_snr[rows], rows.start, clutter)
 
 
 def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array) -> None:
@@ -335,49 +293,22 @@ def run(
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
     check_inputs(scans, parameters, model, prior[0])
-    posteriors, infos = [], []
-    for posterior, info in filter_steps(scans, prior, parameters, model):
-        posteriors.append(posterior)
-        infos.append(info)
-    return collect(posteriors), diagnose(infos, posteriors)
-
-
-def filter_steps(
-    scans: Scans, prior: tuple[Array, Array], parameters: FilterParameters, model: Model
-) -> Iterator[tuple[PMB, Info]]:
-    """Posterior and diagnostics after every scan, one at a time."""
-    posterior = initial_density(*prior)
-    for k in range(scans.steps):
-        try:
-            posterior, info = step(posterior, scan_of(scans, k, parameters.doppler), model)
-        except ValueError as error:
-            raise FilterError(f"step {k}: {error}; check the measurement covariances and the prior") from error
-        yield posterior, info
-
-
-def collect(posteriors: list[PMB]) -> History:
-    """The densities of all steps as one flat record."""
-    n = posteriors[0].mean.size - 3 * (posteriors[0].kind.size - 1)
-    maps = [extract(p) for p in posteriors]
-    columns = [np.concatenate([m[i] for m in maps]) for i in range(6)]
-    return History(
-        np.array([p.mean[:n] for p in posteriors]),
-        np.array([p.covariance[:n, :n] for p in posteriors]),
-        np.concatenate([[0], np.cumsum([len(m[0]) for m in maps])]).astype(np.int64),
-        *columns,
+    arrays, at = scan_arrays(scans, parameters.doppler), np.zeros(1, dtype=np.int64)
+    try:
+        _, mean, covariance, map_offsets, table, weight, count, track, existence, nis, rows = filter_scans(
+            *arrays, initial_density(*prior), model, at
+        )
+    except ValueError as error:
+        raise FilterError(f"step {at[0]}: {error}; check the measurement covariances and the prior") from error
+    owned = [scans.rows(k) for k in range(scans.steps)]
+    diagnostics = Diagnostics(
+        nis=nis,
+        nis_rows=rows,
+        weights=tuple(w[:g] for w, g in zip(weight, count, strict=True)),
+        associations=tuple(track[:g, s] for g, s in zip(count, owned, strict=True)),
+        existence=tuple(existence[s] for s in owned),
     )
-
-
-def diagnose(infos: list[Info], posteriors: list[PMB]) -> Diagnostics:
-    """The diagnostics of all steps as one record."""
-    return Diagnostics(
-        nis=np.array([i.nis for i in infos]),
-        nis_rows=np.array([i.rows for i in infos], dtype=np.int64),
-        weights=tuple(i.weight for i in infos),
-        associations=tuple(i.track for i in infos),
-        existence=tuple(i.existence for i in infos),
-        map_existence=tuple((p.track[1:], p.weight[1:]) for p in posteriors),
-    )
+    return history_of(mean, covariance, map_offsets, table), diagnostics
 
 
 __all__ = ["BS_TRACK", "NO_TRACK", "Diagnostics", "FilterParameters", "History", "Info", "run", "step"]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, inlined
 from dopslam.models.kernels import cholesky, solve_lower_vector, subtract
 from dopslam.slam.association import k_best
 from dopslam.slam.birth import log_spreading, visible_share
@@ -169,7 +169,7 @@ def normalize(log_weight):
     return log_weight - (top + math.log(total))
 
 
-@compiled
+@inlined
 def best_associations(local, log_new, model):
     """The γ most likely associations (Murty), with the weights of the product of single-landmark terms.
 

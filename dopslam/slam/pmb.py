@@ -189,7 +189,7 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(motion.speed)),
         interval=float(motion.interval),
         turn_rate=float(motion.turn_rate),
-        process_noise=np.ascontiguousarray(motion.process_noise, dtype=float),
+        process_noise=np.array(motion.process_noise, dtype=float, order="C"),
         joint=bool(parameters.joint),
         iterations=int(parameters.iterations),
         cubature=bool(parameters.cubature),
@@ -212,8 +212,8 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
 
 def initial_density(mean: Array, covariance: Array) -> PMB:
     """The density before the first step: UE prior N(mean, covariance), the BS, no landmark."""
-    mean = np.ascontiguousarray(mean, dtype=float)
-    covariance = np.ascontiguousarray(covariance, dtype=float)
+    mean = np.array(mean, dtype=float, order="C")
+    covariance = np.array(covariance, dtype=float, order="C")
     if covariance.shape != (mean.size, mean.size) or mean.size not in (4, 6):
         raise FilterError(
             f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n = 4 or 6"

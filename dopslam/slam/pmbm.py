@@ -18,13 +18,9 @@ from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.birth import new_hypotheses
 from dopslam.slam.ek_pmb import (
-    Diagnostics,
     FilterParameters,
-    History,
     Info,
     check_inputs,
-    collect,
-    diagnose,
     name_tracks,
     predict,
     prune,
@@ -32,6 +28,7 @@ from dopslam.slam.ek_pmb import (
     ue_size,
     worth_updating,
 )
+from dopslam.slam.history import Diagnostics, History, history_of, map_table
 from dopslam.slam.hypotheses import Associations, best_associations, local_hypotheses
 from dopslam.slam.pmb import PMB, Model, Scan, compile_model, initial_density
 from dopslam.slam.update import update
@@ -131,9 +128,21 @@ def run(
     model = compile_model(parameters, motion, bs, height)
     check_inputs(scans, parameters, model, prior[0])
     mixture = [Hypothesis(0.0, initial_density(*prior))]
-    posteriors, infos = [], []
+    n = motion.dimension
+    means, covariances, tables, infos = [], [], [], []
     for k in range(scans.steps):
         mixture, info = step(mixture, scan_of(scans, k, parameters.doppler), model, hypotheses)
-        posteriors.append(merged(mixture))
+        posterior = merged(mixture)
+        means.append(posterior.mean[:n])
+        covariances.append(posterior.covariance[:n, :n])
+        tables.append(map_table(posterior))
         infos.append(info)
-    return collect(posteriors), diagnose(infos, posteriors)
+    offsets = np.concatenate([[0], np.cumsum([len(table) for table in tables])]).astype(np.int64)
+    diagnostics = Diagnostics(
+        nis=np.array([i.nis for i in infos]),
+        nis_rows=np.array([i.rows for i in infos], dtype=np.int64),
+        weights=tuple(i.weight for i in infos),
+        associations=tuple(i.track for i in infos),
+        existence=tuple(i.existence for i in infos),
+    )
+    return history_of(np.array(means), np.array(covariances), offsets, np.concatenate(tables)), diagnostics

@@ -14,22 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dopslam.compiled import compiled, copy_matrix, copy_vector, take
 from dopslam.errors import FilterError
 from dopslam.models.kernels import propagate_state
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
-from dopslam.slam.ek_pmb import (
-    Diagnostics,
-    FilterParameters,
-    History,
-    check_inputs,
-    collect,
-    diagnose,
-    extract,
-    filter_steps,
-)
-from dopslam.slam.pmb import BS_TRACK, Model, compile_model
-from dopslam.slam.window import build, eliminate, solve_window
+from dopslam.slam import ek_pmb
+from dopslam.slam.history import Diagnostics, History
+from dopslam.slam.pmb import BS_TRACK, NO_TRACK, FilterParameters, compile_model
+from dopslam.slam.window import build, eliminate, enlarge, solve_window
 
 Array = NDArray[np.float64]
 
@@ -57,114 +50,168 @@ class SmootherParameters:
             raise FilterError(f"SmootherParameters: lag {self.lag}, iterations {self.iterations} must be ≥ 1")
 
 
-class _Window:
-    """Variables and factors of the window; the only mutable thing, private to one run."""
+@compiled
+def find(values, wanted):
+    """Place of `wanted` in `values`, or -1."""
+    for i in range(values.shape[0]):
+        if values[i] == wanted:
+            return i
+    return -1
 
-    def __init__(
-        self,
-        prior: tuple[Array, Array],
-        motion: CoordinatedTurn,
-        model: Model,
-        parameters: SmootherParameters,
-    ) -> None:
-        self.motion, self.model, self.parameters = motion, model, parameters
-        self.n = len(prior[0])
-        self.information = np.linalg.inv(prior[1])
-        self.vector = self.information @ prior[0]
-        self.states = np.array([prior[0]], dtype=float)
-        self.first = 0  # step of states[0]; the prior itself is step 0, scans are steps 1, 2, …
-        self.tracks: list[int] = []
-        self.kinds = np.empty(0, dtype=np.int64)
-        self.landmarks = np.empty((0, 3))
-        self.factors: list[tuple[int, int, int]] = []  # step, track, row of the measurement
-        self.weight = np.linalg.inv(motion.process_noise + 1e-12 * np.eye(self.n))
-        self.covariance = prior[1]
 
-    def extend(self) -> None:
-        """Append the predicted next state."""
-        motion, jacobian = self.motion, np.empty((self.n, self.n))
-        state = propagate_state(self.states[-1], motion.interval, motion.speed, motion.turn_rate, jacobian)
-        self.states = np.concatenate([self.states, state[None]])
+@compiled
+def active(named, offsets, tracks, first, scan, last):
+    """Measurements of scans `scan` … `last - 1` whose landmark is a variable (or the BS): window index, landmark index
+    (-1: BS), row. State 0 of the window precedes scan `first`.
+    """
+    room = offsets[last] - offsets[scan]
+    when, which = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    rows = np.empty(room, dtype=np.int64)
+    count = 0
+    for k in range(scan, last):
+        for row in range(offsets[k], offsets[k + 1]):
+            slot = find(tracks, named[row])
+            if slot >= 0 or named[row] == BS_TRACK:
+                when[count], which[count], rows[count] = k + 1 - first, slot, row
+                count += 1
+    return when[:count], which[:count], rows[:count]
 
-    def drop(self, gone: list[int]) -> None:
-        """Marginalize landmarks out of the prior."""
-        self._eliminate(np.array([self.n + 3 * i + j for i in gone for j in range(3)], dtype=np.int64))
-        keep = [i for i in range(len(self.tracks)) if i not in gone]
-        self.tracks = [self.tracks[i] for i in keep]
-        self.kinds, self.landmarks = self.kinds[keep], self.landmarks[keep]
 
-    def _eliminate(self, drop: NDArray[np.int64]) -> None:
-        keep = np.delete(np.arange(len(self.vector)), drop)
-        self.information, self.vector, valid = eliminate(self.information, self.vector, keep, drop)
-        if not valid:
-            raise FilterError("smoother: information matrix is singular; use a longer lag or a tighter prior")
+@compiled
+def agree(information, vector, n, tracks, kinds, landmarks, wanted, kind, position):
+    """Follow the filter: forget the landmarks that are not `wanted` or of another kind, take up the new ones.
 
-    def agree(self, position: Array, kind: NDArray[np.int64], track: NDArray[np.int64], confirmed: Array) -> None:
-        """Follow the filter: forget tracks it dropped or retyped, take up those it has confirmed."""
-        alive = dict(zip(track.tolist(), kind.tolist(), strict=True))
-        gone = [i for i, t in enumerate(self.tracks) if alive.get(t) != self.kinds[i]]
-        if gone:
-            self.drop(gone)
-        new = [i for i in np.flatnonzero(confirmed) if int(track[i]) not in self.tracks]
-        used = {t for _, t, _ in self.factors}
-        new = [i for i in new if int(track[i]) in used]
-        if new:
-            old, size = len(self.vector), len(self.vector) + 3 * len(new)
-            information, vector = np.zeros((size, size)), np.zeros(size)
-            information[:old, :old], vector[:old] = self.information, self.vector
-            self.information, self.vector = information, vector
-            self.tracks += [int(track[i]) for i in new]
-            self.kinds = np.concatenate([self.kinds, kind[new]])
-            self.landmarks = np.concatenate([self.landmarks, position[new]])
+    Parameters
+    ----------
+    information, vector : prior over (s_tail, x_1 … x_H)
+    tracks, kinds, landmarks : (H,), (H,), (H, 3) arrays; the variables
+    wanted, kind, position : (N,), (N,), (N, 3) arrays; tracks that may be variables (-2 where not), as the filter has
+        them
+    """
+    old = tracks.shape[0]
+    keep, drop = np.empty(n + 3 * old, dtype=np.int64), np.empty(3 * old, dtype=np.int64)
+    stay = np.empty(old, dtype=np.int64)
+    kept = 0
+    for i in range(n):
+        keep[i] = i
+    for h in range(old):
+        at = find(wanted, tracks[h])
+        if at >= 0 and kind[at] == kinds[h]:
+            stay[kept] = h
+            for i in range(3):
+                keep[n + 3 * kept + i] = n + 3 * h + i
+            kept += 1
+        else:
+            for i in range(3):
+                drop[3 * (h - kept) + i] = n + 3 * h + i
+    new = np.empty(wanted.shape[0], dtype=np.int64)
+    count = 0
+    for i in range(wanted.shape[0]):
+        slot = find(tracks, wanted[i])
+        if wanted[i] != NO_TRACK and (slot < 0 or kind[i] != kinds[slot]):
+            new[count] = i
+            count += 1
+    valid = True
+    if kept < old:
+        information, vector, valid = eliminate(information, vector, keep[: n + 3 * kept], drop[: 3 * (old - kept)])
+    if kept == old and count == 0:
+        return information, vector, tracks, kinds, landmarks, valid
+    total = kept + count
+    grown = np.zeros(n + 3 * total)
+    copy_vector(vector, grown)
+    all_tracks, all_kinds = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
+    all_landmarks = np.empty((total, 3))
+    copy_vector(take(tracks, stay[:kept]), all_tracks)
+    copy_vector(take(kinds, stay[:kept]), all_kinds)
+    for i in range(kept):
+        copy_vector(landmarks[stay[i]], all_landmarks[i])
+    for i in range(count):
+        all_tracks[kept + i], all_kinds[kept + i] = wanted[new[i]], kind[new[i]]
+        copy_vector(position[new[i]], all_landmarks[kept + i])
+    return enlarge(information, grown.shape[0], grown.shape[0]), grown, all_tracks, all_kinds, all_landmarks, valid
 
-    def active(self, z: Array, whiteners: Array, only: int | None = None):
-        """Factors whose landmark is a variable (or the BS): window index, landmark index, z, whitener."""
-        slot = {t: i for i, t in enumerate(self.tracks)} | {BS_TRACK: -1}
-        chosen = [(k, slot[t], row) for k, t, row in self.factors if t in slot and (only is None or k == only)]
-        rows = [row for _, _, row in chosen]
-        when = np.array([k - self.first for k, _, _ in chosen], dtype=np.int64)
-        which = np.array([h for _, h, _ in chosen], dtype=np.int64)
-        return when, which, z[rows], whiteners[rows]
 
-    def solve(self, z: Array, whiteners: Array) -> None:
-        """Relinearize and solve the whole window."""
-        arrays = self.active(z, whiteners)
-        states, landmarks, covariance, used = solve_window(
-            self.information,
-            self.vector,
-            self.states,
-            self.landmarks,
-            self.kinds,
-            *arrays,
-            self.weight,
-            self.model,
-            self.parameters.iterations,
+@compiled
+def candidates(named, offsets, first, k, track, kind, likely, confirmed, tracks, kinds):
+    """Tracks that may be variables after scan k: those that are already, with the same kind, and the confirmed ones with
+    a measurement in the window; -2 in place of the others.
+    """
+    wanted = np.full(track.shape[0], NO_TRACK)
+    for i in range(track.shape[0]):
+        used = find(named[offsets[first] : offsets[k + 1]], track[i]) >= 0
+        slot = find(tracks, track[i])
+        if (slot >= 0 and kind[i] == kinds[slot]) or (likely[i] > confirmed and used):
+            wanted[i] = track[i]
+    return wanted
+
+
+@compiled
+def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, position, spread, information, start,
+           weight, model, lag, iterations, confirmed):  # fmt: skip
+    """Smooth a whole run; overwrites `position` and `spread` of the map rows that are variables of the window.
+
+    Returns
+    -------
+    means, covariances : (K, n), (K, n, n) arrays; of the newest state at each step
+    failed : int; step with a singular information matrix, -1 if none
+    """
+    steps, n = offsets.shape[0] - 1, start.shape[0]
+    means, covariances = np.empty((steps, n)), np.empty((steps, n, n))
+    vector = np.zeros(n)
+    for i in range(n):
+        for j in range(n):
+            vector[i] += information[i, j] * start[j]
+    states = np.empty((1, n))
+    copy_vector(start, states[0])
+    tracks, kinds = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    landmarks = np.empty((0, 3))
+    jacobian, own = np.empty((n, n)), np.arange(n)
+    named = np.full(z.shape[0], NO_TRACK)
+    first = 0  # scan after states[0]
+    for k in range(steps):
+        low, high = map_offsets[k], map_offsets[k + 1]
+        for row in range(offsets[k], offsets[k + 1]):  # a measurement that bore a track bears its number
+            born = chosen[row] == NO_TRACK and find(track[low:high], row) >= 0
+            named[row] = row if born else chosen[row]
+        moved = propagate_state(states[-1], model.interval, model.site[4], model.turn_rate, jacobian)
+        states = enlarge(states, states.shape[0] + 1, n)
+        copy_vector(moved, states[-1])
+        wanted = candidates(
+            named, offsets, first, k, track[low:high], kind[low:high], likely[low:high], confirmed, tracks, kinds
         )
-        if used < 0:
-            raise FilterError("smoother: information matrix is singular; use a longer lag or a tighter prior")
-        self.states, self.landmarks, self.covariance = states, landmarks, covariance
-
-    def slide(self, z: Array, whiteners: Array) -> None:
-        """Marginalize the tail state, then take the next state's measurements into the prior."""
-        when, which, z_next, whiteners_next = self.active(z, whiteners, only=self.first + 1)
-        self.information, self.vector, _ = build(
-            self.information,
-            self.vector,
-            self.states[:2],
-            self.landmarks,
-            self.kinds,
-            when,
-            which,
-            z_next,
-            whiteners_next,
-            self.weight,
-            self.model,
-            False,
+        information, vector, tracks, kinds, landmarks, valid = agree(
+            information, vector, n, tracks, kinds, landmarks, wanted, kind[low:high], position[low:high]
         )
-        self._eliminate(np.arange(self.n))
-        self.states = self.states[1:].copy()
-        self.first += 1
-        self.factors = [f for f in self.factors if f[0] > self.first]
+        when, which, rows = active(named, offsets, tracks, first, first, k + 1)
+        states, landmarks, covariance, solved = solve_window(
+            information, vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model, iterations
+        )
+        if not (valid and solved):
+            return means, covariances, k
+        copy_vector(states[-1], means[k])
+        copy_matrix(covariance[:n, :n], covariances[k])
+        for i in range(low, high):
+            slot = find(tracks, track[i])
+            if slot >= 0:
+                at = n + 3 * slot
+                copy_vector(landmarks[slot], position[i])
+                copy_matrix(covariance[at : at + 3, at : at + 3], spread[i])
+        if states.shape[0] > lag + 1:  # the next state's measurements join the prior, the tail state leaves
+            when, which, rows = active(named, offsets, tracks, first, first, first + 1)
+            information, vector, _ = build(
+                information, vector, states[:2], landmarks, kinds, when, which, rows, z, whiteners, weight, model, False
+            )
+            size = vector.shape[0]
+            for i in range(size):  # g + Λ x: the normal equations as seen from the origin
+                for j in range(size):
+                    point = states[j // n, j % n] if j < 2 * n else landmarks[(j - 2 * n) // 3, (j - 2 * n) % 3]
+                    vector[i] += information[i, j] * point
+            information, vector, valid = eliminate(information, vector, np.arange(n, size), own)
+            if not valid:
+                return means, covariances, k
+            states = states[1:].copy()
+            first += 1
+    return means, covariances, -1
 
 
 def run(
@@ -183,41 +230,33 @@ def run(
     them.
     """
     parameters, smoothing = parameters or FilterParameters(), smoothing or SmootherParameters()
-    model = compile_model(parameters, motion, bs, height)
-    check_inputs(scans, parameters, model, prior[0])
-    m = 6 if parameters.doppler else 5
-    z = np.ascontiguousarray(scans.z[:, :m])
-    whiteners = np.linalg.inv(np.linalg.cholesky(scans.covariance[:, :m, :m]))
-    window = _Window(prior, motion, model, smoothing)
-    posteriors, infos, means, covariances, maps = [], [], [], [], []
-    for k, (posterior, info) in enumerate(filter_steps(scans, prior, parameters, model)):
-        position, spread, existence, va, kind, track = extract(posterior)
-        named = info.track[0].copy()
-        own = scans.offsets[k] + np.arange(len(named))
-        named[named == -2] = np.where(np.isin(own, track), own, -2)[named == -2]
-        window.factors += [(k + 1, int(t), int(row)) for t, row in zip(named, own, strict=True) if t >= BS_TRACK]
-        window.extend()
-        likely = existence * np.where(kind == 1, va, 1.0 - va)
-        window.agree(position, kind, track, likely > smoothing.confirmed)
-        window.solve(z, whiteners)
-        n = window.n
-        means.append(window.states[-1].copy())
-        covariances.append(window.covariance[:n, :n].copy())
-        slot = {t: i for i, t in enumerate(window.tracks)}
-        for i, t in enumerate(track.tolist()):
-            if t in slot:
-                rows = slice(n + 3 * slot[t], n + 3 * slot[t] + 3)
-                position[i], spread[i] = window.landmarks[slot[t]], window.covariance[rows, rows]
-        maps.append((position, spread))
-        if len(window.states) > smoothing.lag + 1:
-            window.slide(z, whiteners)
-        posteriors.append(posterior)
-        infos.append(info)
-    history = replace(
-        collect(posteriors),
-        mean=np.array(means),
-        covariance=np.array(covariances),
-        position=np.concatenate([p for p, _ in maps]),
-        position_covariance=np.concatenate([s for _, s in maps]),
+    history, diagnostics = ek_pmb.run(scans, prior, motion, bs, parameters, height)
+    z, covariance, _, offsets, _ = ek_pmb.scan_arrays(scans, parameters.doppler)
+    chosen = [np.empty(0, dtype=np.int64), *(a[0] for a in diagnostics.associations)]
+    position, spread = history.position.copy(), history.position_covariance.copy()
+    n = motion.dimension
+    means, covariances, failed = smooth(
+        z,
+        np.linalg.inv(np.linalg.cholesky(covariance)),
+        offsets,
+        np.concatenate(chosen),
+        history.map_offsets,
+        history.track,
+        history.kind,
+        history.existence * np.where(history.kind == 1, history.va_probability, 1.0 - history.va_probability),
+        position,
+        spread,
+        np.linalg.inv(prior[1]),
+        np.ascontiguousarray(prior[0], dtype=float),
+        np.linalg.inv(motion.process_noise + 1e-12 * np.eye(n)),
+        compile_model(parameters, motion, bs, height),
+        smoothing.lag,
+        smoothing.iterations,
+        smoothing.confirmed,
     )
-    return history, diagnose(infos, posteriors)
+    if failed >= 0:
+        raise FilterError(
+            f"smoother, step {failed}: information matrix is singular; use a longer lag or a tighter prior"
+        )
+    smoothed = replace(history, mean=means, covariance=covariances, position=position, position_covariance=spread)
+    return smoothed, diagnostics

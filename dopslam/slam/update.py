@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector
+from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.models.kernels import VA, cholesky, solve_lower, subtract
 from dopslam.slam.birth import log_spreading
 from dopslam.slam.hypotheses import normalize
@@ -54,7 +54,6 @@ def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, 
     Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
     """
     m = z.shape[0]
-    size = mean.shape[0]
     linearize_block(point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra)
     subtract(z, work.predicted, work.by_landmark, work.by_state, work.nu)
     start = start_of(n, block)
@@ -66,12 +65,11 @@ def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, 
                 work.nu[i] -= work.by_landmark[i, k] * (mean[start + k] - point[start + k])
         for j in range(m):
             work.extra[i, j] += noise[i, j]
-    projected = work.projected[:, :size]
-    project_rows(covariance, n, block, work.by_state, work.by_landmark, projected)
-    innovation_covariance(projected, n, block, work.by_state, work.by_landmark, work.extra, work.factor)
+    project_rows(covariance, n, block, work.by_state, work.by_landmark, work.projected)
+    innovation_covariance(work.projected, n, block, work.by_state, work.by_landmark, work.extra, work.factor)
     if not cholesky(work.factor, m):
         raise ValueError("innovation covariance of an update is not positive definite")
-    solve_lower(work.factor, m, projected)
+    solve_lower(work.factor, m, work.projected)
     distance, log_density = 0.0, -0.5 * m * math.log(2.0 * math.pi)
     for i in range(m):
         value = work.nu[i]
@@ -135,7 +133,7 @@ def likeliest_block(local, p, t):
     return best
 
 
-@compiled
+@inlined
 def joint_update(density, n, local, scan, association, model, work):
     """One EKF update of `[s; x_1; …]` with all measurements a data association gives to tracks.
 
@@ -202,7 +200,7 @@ def joint_update(density, n, local, scan, association, model, work):
     return mean, covariance, distance, evidence
 
 
-@compiled
+@inlined
 def weights_after(density, local, scan, association, model, weight, reference, detections):
     """Block weights r'μ', SNR references and detection counts of the existing tracks after one
     association.
@@ -231,7 +229,7 @@ def weights_after(density, local, scan, association, model, weight, reference, d
             reference[b] += (seen - reference[b]) / detections[b]
 
 
-@compiled
+@inlined
 def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     """Update under every association in `chosen`, project onto one PMB.
 
@@ -251,6 +249,9 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     start = np.empty((born, 3))
     for c in range(born):
         copy_vector(position[measurement[c], kinds[c] - VA], start[c])
+    real = np.zeros(count)
+    for p in range(count):
+        real[p] = min(1.0, (math.exp(log_term[p, 0]) + math.exp(log_term[p, 1])) / math.exp(log_new[p]))
     means, covariances = np.zeros((components, full)), np.zeros((components, full, full))
     weights = np.zeros((components, old + born))
     references, detections = np.zeros((components, old + born)), np.zeros((components, old + born))
@@ -264,7 +265,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
         copy_matrix(covariance, covariances[a])
         weights_after(density, local, scan, association, model, weights[a], references[a], detections[a])
         if born > 0:
-            give_birth(means[a], covariances[a], n, size, scan, measurement, kinds, association, start, model)
+            give_birth(means[a], covariances[a], n, size, scan, measurement, kinds, association, start, real, model)
         for c in range(born):
             p, t = measurement[c], kinds[c] - VA
             if association[p] < 0:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compiled import compiled, copy_matrix, inlined
 from dopslam.models.kernels import cholesky, linearize, propagate_state, solve_lower, subtract
 
 CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step
+HALVINGS = 5  # of a step that does not lower the cost
 
 
 @compiled
@@ -33,37 +34,39 @@ def cholesky_upper(matrix, size):
 
 
 @compiled
-def add_motion(information, vector, at, states, j, weight, model, vectors_only_cost):
-    """Add ‖s_{j+1} - f(s_j)‖² to the normal equations, s_j at row `at`; returns its cost."""
-    n = states.shape[1]
-    jacobian = np.empty((n, n))
-    predicted = propagate_state(states[j], model.interval, model.site[4], model.turn_rate, jacobian)
-    error = states[j + 1] - predicted
+def add_motion(information, gradient, at, state, following, weight, model, only_cost):
+    """Add ‖s' - f(s)‖² to the normal equations, s at row `at` and s' = `following` after it; returns its cost."""
+    n = state.shape[0]
+    jacobian, tied = np.empty((n, n)), np.zeros((n, n))
+    predicted = propagate_state(state, model.interval, model.site[4], model.turn_rate, jacobian)
     cost = 0.0
     for a in range(n):
+        pull = 0.0
         for b in range(n):
-            cost += error[a] * weight[a, b] * error[b]
-    if vectors_only_cost:
+            pull += weight[a, b] * (following[b] - predicted[b])
+            for k in range(n):
+                tied[a, b] += weight[a, k] * jacobian[k, b]
+        cost += pull * (following[a] - predicted[a])
+        if not only_cost:
+            gradient[at + n + a] -= pull
+            for b in range(n):
+                gradient[at + b] += jacobian[a, b] * pull
+    if only_cost:
         return cost
-    # residual s' - f(s) ≈ (s' - F s) - c with c = f(s0) - F s0
-    constant = predicted - jacobian @ states[j]
-    tied = weight @ jacobian
-    both = jacobian.T @ tied
-    pull = weight @ constant
-    back = jacobian.T @ pull
     for a in range(n):
-        vector[at + a] -= back[a]
-        vector[at + n + a] += pull[a]
         for b in range(n):
-            information[at + a, at + b] += both[a, b]
+            both = 0.0
+            for k in range(n):
+                both += jacobian[k, a] * tied[k, b]
+            information[at + a, at + b] += both
             information[at + n + a, at + n + b] += weight[a, b]
             information[at + n + a, at + b] -= tied[a, b]
-            information[at + a, at + n + b] -= tied[b, a]
+            information[at + b, at + n + a] -= tied[a, b]
     return cost
 
 
 @compiled
-def add_measurement(information, vector, at, start, state, landmark, kind, z, whitener, model, only_cost):
+def add_measurement(information, gradient, at, start, state, landmark, kind, z, whitener, model, only_cost):
     """Add ‖L⁻¹(z - h(s, x))‖² to the normal equations, s at row `at`, x at row `start` (-1: BS); returns its
     cost.
     """
@@ -88,182 +91,136 @@ def add_measurement(information, vector, at, start, state, landmark, kind, z, wh
         cost += white[i, d] * white[i, d]
     if only_cost:
         return cost
-    for i in range(m):  # J x0 + ν: the measurement as seen from the origin
-        for j in range(n):
-            white[i, d] += white[i, j] * state[j]
-        for j in range(n, d):
-            white[i, d] += white[i, j] * landmark[j - n]
     for a in range(d):
         row = at + a if a < n else start + a - n
         for i in range(m):
-            vector[row] += white[i, a] * white[i, d]
+            gradient[row] += white[i, a] * white[i, d]
         for b in range(d):
             column = at + b if b < n else start + b - n
-            value = 0.0
             for i in range(m):
-                value += white[i, a] * white[i, b]
-            information[row, column] += value
+                information[row, column] += white[i, a] * white[i, b]
     return cost
 
 
 @compiled
-def build(
-    prior_information,
-    prior_vector,
-    states,
-    landmarks,
-    kinds,
-    when,
-    which,
-    z,
-    whiteners,
-    weight,
-    model,
-    only_cost,
-):
-    """Normal equations Λ x = η of the window linearized at (states, landmarks), and the cost there.
+def build(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model,
+          only_cost):  # fmt: skip
+    """Normal equations Λ δ = g of the window for a change δ of (states, landmarks), and the cost there.
 
-    Variables are ordered s_tail … s_now, x_1 … x_H; the prior is over (s_tail, x_1 … x_H).
+    Measurement `rows[f]` of `z` belongs to state `when[f]` and landmark `which[f]` (-1: BS).
     """
     window, n = states.shape
     count = landmarks.shape[0]
     base = window * n
     size = base + 3 * count
-    information, vector = np.zeros((size, size)), np.zeros(size)
-    index = np.empty(n + 3 * count, dtype=np.int64)
-    value = np.empty(n + 3 * count)
-    for i in range(n):
-        index[i], value[i] = i, states[0, i]
-    for i in range(3 * count):
-        index[n + i], value[n + i] = base + i, landmarks[i // 3, i % 3]
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    inner = n + 3 * count
+    value = np.empty(inner)
+    for i in range(inner):
+        value[i] = states[0, i] if i < n else landmarks[(i - n) // 3, (i - n) % 3]
     cost = 0.0
-    for i in range(index.shape[0]):
-        vector[index[i]] += prior_vector[i]
-        cost -= 2.0 * prior_vector[i] * value[i]
-        for j in range(index.shape[0]):
-            information[index[i], index[j]] += prior_information[i, j]
-            cost += value[i] * prior_information[i, j] * value[j]
+    for i in range(inner):
+        row = i if i < n else base + i - n
+        product = 0.0
+        for j in range(inner):
+            product += prior_information[i, j] * value[j]
+        cost += value[i] * (product - 2.0 * prior_vector[i])
+        gradient[row] += prior_vector[i] - product
+        if not only_cost:
+            for j in range(n):
+                information[row, j] += prior_information[i, j]
+            for j in range(n, inner):
+                information[row, base + j - n] += prior_information[i, j]
     for j in range(window - 1):
-        cost += add_motion(information, vector, j * n, states, j, weight, model, only_cost)
+        cost += add_motion(information, gradient, j * n, states[j], states[j + 1], weight, model, only_cost)
     nowhere = np.zeros(3)
-    for f in range(when.shape[0]):
+    for f in range(rows.shape[0]):
         h = which[f]
         cost += add_measurement(
             information,
-            vector,
+            gradient,
             when[f] * n,
             base + 3 * h if h >= 0 else -1,
             states[when[f]],
             landmarks[h] if h >= 0 else nowhere,
             kinds[h] if h >= 0 else 0,
-            z[f],
-            whiteners[f],
+            z[rows[f]],
+            whiteners[rows[f]],
             model,
             only_cost,
         )
-    return information, vector, cost
+    return information, gradient, cost
 
 
 @compiled
-def solve_window(
-    prior_information,
-    prior_vector,
-    states,
-    landmarks,
-    kinds,
-    when,
-    which,
-    z,
-    whiteners,
-    weight,
-    model,
-    iterations,
-):
-    """Gauss-Newton with step halving over the window.
+def solve_scaled(information, gradient, factor, scale):
+    """δ = Λ⁻¹ g by the Cholesky factor of Λ scaled to a unit diagonal, left in `factor` and `scale`; and whether Λ is
+    definite.
+    """
+    size = gradient.shape[0]
+    step = np.zeros(size)
+    for i in range(size):
+        scale[i] = 1.0 / np.sqrt(max(information[i, i], 1e-300))
+    for i in range(size):
+        step[i] = gradient[i] * scale[i]
+        for j in range(size):
+            factor[i, j] = information[i, j] * scale[i] * scale[j]
+    if not cholesky_upper(factor, size):
+        return step, False
+    for i in range(size):
+        step[i] /= factor[i, i]
+        for k in range(i + 1, size):
+            step[k] -= factor[i, k] * step[i]
+    for i in range(size - 1, -1, -1):
+        value = step[i]
+        for k in range(i + 1, size):
+            value -= factor[i, k] * step[k]
+        step[i] = value / factor[i, i]
+    for i in range(size):
+        step[i] *= scale[i]
+    return step, True
+
+
+@inlined
+def solve_window(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight,
+                 model, iterations):  # fmt: skip
+    """Gauss-Newton with halved steps.
 
     Returns
     -------
-    states, landmarks : the solution
-    covariance : of (s_now, x_1 … x_H) at the solution
-    steps : int; iterations used, -1 if the problem is singular
+    states, landmarks : solution
+    covariance : (n + 3H, n + 3H) array; of (s_now, x_1 … x_H)
+    valid : bool; False if the information matrix was singular
     """
     window, n = states.shape
     count = landmarks.shape[0]
     base = window * n
-    states, landmarks = states.copy(), landmarks.copy()
     size = base + 3 * count
-    used = 0
-    factor = np.zeros((size, size))
-    while used < iterations:
-        used += 1
-        information, vector, cost = build(
-            prior_information,
-            prior_vector,
-            states,
-            landmarks,
-            kinds,
-            when,
-            which,
-            z,
-            whiteners,
-            weight,
-            model,
+    factor, scale = np.empty((size, size)), np.empty(size)
+    for _ in range(iterations):
+        information, gradient, cost = build(
+            prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model,
             False,
-        )
-        point = np.empty(size)
-        for i in range(base):
-            point[i] = states[i // n, i % n]
-        for i in range(3 * count):
-            point[base + i] = landmarks[i // 3, i % 3]
-        step = vector - information @ point
-        gradient = step.copy()
-        scale = np.empty(size)
-        for i in range(size):
-            scale[i] = 1.0 / np.sqrt(max(information[i, i], 1e-300))
-        for i in range(size):
-            for j in range(size):
-                factor[i, j] = information[i, j] * scale[i] * scale[j]
-        if not cholesky_upper(factor, size):
-            return states, landmarks, factor, -1
-        for i in range(size):
-            step[i] *= scale[i]
-        for i in range(size):
-            step[i] /= factor[i, i]
-            for k in range(i + 1, size):
-                step[k] -= factor[i, k] * step[i]
-        for i in range(size - 1, -1, -1):
-            value = step[i]
-            for k in range(i + 1, size):
-                value -= factor[i, k] * step[k]
-            step[i] = value / factor[i, i]
-        for i in range(size):
-            step[i] *= scale[i]
+        )  # fmt: skip
+        step, valid = solve_scaled(information, gradient, factor, scale)
+        if not valid:
+            return states, landmarks, factor, False
         length = 0.0
         for i in range(size):
             length += gradient[i] * step[i]
         share = 1.0
         new_states, new_landmarks = states.copy(), landmarks.copy()
-        for _ in range(6):
+        for halving in range(HALVINGS + 1):
             for i in range(base):
-                new_states[i // n, i % n] = point[i] + share * step[i]
+                new_states[i // n, i % n] = states[i // n, i % n] + share * step[i]
             for i in range(3 * count):
-                new_landmarks[i // 3, i % 3] = point[base + i] + share * step[base + i]
-            if length < 1.0:  # close enough for the quadratic model
+                new_landmarks[i // 3, i % 3] = landmarks[i // 3, i % 3] + share * step[base + i]
+            if length < 1.0 or halving == HALVINGS:  # close enough for the quadratic model, or as short as it gets
                 break
             _, _, new_cost = build(
-                prior_information,
-                prior_vector,
-                new_states,
-                new_landmarks,
-                kinds,
-                when,
-                which,
-                z,
-                whiteners,
-                weight,
-                model,
-                True,
-            )
+                prior_information, prior_vector, new_states, new_landmarks, kinds, when, which, rows, z, whiteners,
+                weight, model, True,
+            )  # fmt: skip
             if new_cost <= cost:
                 break
             share *= 0.5
@@ -273,15 +230,18 @@ def solve_window(
     # The trailing block of (UᵀU)⁻¹ is (U₂ᵀU₂)⁻¹ with U₂ the trailing block of U: all that is asked for.
     head = base - n
     tail = size - head
-    inverse = np.zeros((tail, tail))
-    for j in range(tail):
-        inverse[j, j] = 1.0
-    solve_lower(factor[head:, head:].T.copy(), tail, inverse)
-    covariance = inverse.T.copy() @ inverse
+    inverse, lower, covariance = np.zeros((tail, tail)), np.zeros((tail, tail)), np.zeros((tail, tail))
     for i in range(tail):
-        for j in range(tail):
-            covariance[i, j] *= scale[head + i] * scale[head + j]
-    return states, landmarks, covariance, used
+        inverse[i, i] = 1.0
+        for j in range(i + 1):
+            lower[i, j] = factor[head + j, head + i]
+    solve_lower(lower, tail, inverse)
+    for k in range(tail):
+        for i in range(k + 1):
+            w = inverse[k, i] * scale[head + i]
+            for j in range(k + 1):
+                covariance[i, j] += w * inverse[k, j] * scale[head + j]
+    return states, landmarks, covariance, True
 
 
 @compiled
@@ -324,3 +284,11 @@ def eliminate(information, vector, keep, drop):
             for j in range(count):
                 left[i, j] -= w * cross[k, j]
     return left, right, valid
+
+
+@compiled
+def enlarge(matrix, rows, columns):
+    """The matrix in the upper left corner of a larger one of zeros."""
+    result = np.zeros((rows, columns))
+    copy_matrix(matrix, result)
+    return result

@@ -80,33 +80,62 @@ def test_ratio_of_the_two_types_at_birth(world):
         assert np.exp(volumes[0] - volumes[1]) == pytest.approx(expected, rel=1e-3)
 
 
-def test_newborn_covariances_follow_from_the_linear_model(world):
-    """Errors -G(A e_s + ε) of two births of one scan, with the UE and an older landmark, term by term."""
+def births(world, joint, real=(1.0, 1.0), shift=0.0):
+    """Two births of one scan beside an older landmark: density before, measurements, and after. Errors are small, so
+    that the model is linear; `shift` displaces the Dopplers.
+    """
     rng = np.random.default_rng(8)
     state = nominal_track(world)[2]
-    root = rng.normal(size=(7, 7)) * 0.05
-    old = root @ root.T
+    root = rng.normal(size=(7, 7)) * 0.005
+    old = root @ root.T + 1e-8 * np.eye(7)
     mean, covariance = np.zeros(13), np.zeros((13, 13))
     mean[:4], mean[4:7], covariance[:7, :7] = state, world.landmarks(VA)[0], old
     truth = world.landmarks(VA)[1:3]
     z = measure(state, truth, VA, world.bs, speed=world.motion.speed)
-    noise = np.diag(STD**2)
+    z[:, 5] += shift
+    noise = np.diag((STD / 20) ** 2)
     scan = Scan(z, np.array([noise, noise]), np.zeros(2), 10, 1e-6)
-    model = compile_model(FilterParameters(), world.motion, world.bs)
-    give_birth(
-        mean,
-        covariance,
-        4,
-        7,
-        scan,
-        np.array([0, 1]),
-        np.array([VA, VA]),
-        np.array([-1, -1]),
-        truth.copy(),
-        model,
-    )
-    np.testing.assert_allclose(mean[7:], truth.ravel(), atol=1e-3)
-    a, b = jacobians(state, mean[7:].reshape(2, 3), VA, world.bs, speed=world.motion.speed)
+    model = compile_model(FilterParameters(joint=joint), world.motion, world.bs)
+    before = mean.copy()
+    pair = np.array([0, 1]), np.array([VA, VA]), np.array([-1, -1])
+    give_birth(mean, covariance, 4, 7, scan, *pair, truth.copy(), np.array(real), model)
+    return before, old, z, noise, mean, covariance
+
+
+def test_newborns_inform_the_receiver_as_the_joint_posterior_has_it(world):
+    """UE, older landmark and two newborns against least squares with no prior information on the newborns."""
+    before, old, z, noise, mean, covariance = births(world, True, shift=0.004)
+    start = before.copy()
+    start[7:] = world.landmarks(VA)[1:3].ravel()
+    x = start.copy()
+    for _ in range(5):
+        a, b = jacobians(x[:4], x[7:].reshape(2, 3), VA, world.bs, speed=world.motion.speed)
+        nu = residual(z, measure(x[:4], x[7:].reshape(2, 3), VA, world.bs, speed=world.motion.speed))
+        information, vector = np.zeros((13, 13)), np.zeros(13)
+        information[:7, :7] = np.linalg.inv(old)
+        vector[:7] = information[:7, :7] @ (start - x)[:7]
+        for i in range(2):
+            rows = np.zeros((6, 13))
+            rows[:, :4], rows[:, 7 + 3 * i : 10 + 3 * i] = a[i], b[i]
+            information += rows.T @ np.linalg.solve(noise, rows)
+            vector += rows.T @ np.linalg.solve(noise, nu[i])
+        x = x + np.linalg.solve(information, vector)
+    moved = np.abs(x - start)[:7].max()
+    assert moved > 1e-5
+    np.testing.assert_allclose(mean, x, rtol=0, atol=0.02 * moved + 1e-3)
+    np.testing.assert_allclose(mean[:7], x[:7], rtol=0, atol=0.02 * moved)
+    expected = np.linalg.inv(information)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(covariance / scale, expected / scale, atol=2e-3)
+    assert covariance[3, 3] < old[3, 3] and np.linalg.eigvalsh(covariance).min() > 0
+
+
+@pytest.mark.parametrize(("joint", "real"), [(False, (1.0, 1.0)), (True, (0.4, 0.4))])
+def test_the_receiver_stays_at_doubtful_births_and_in_the_papers_filter(world, joint, real):
+    """Errors -G(A e_s + ε) of the newborns, with the UE and an older landmark, term by term."""
+    before, old, _, noise, mean, covariance = births(world, joint, real)
+    np.testing.assert_array_equal(mean[:7], before[:7])
+    a, b = jacobians(mean[:4], mean[7:].reshape(2, 3), VA, world.bs, speed=world.motion.speed)
     pulls, gains = [], []
     for i in range(2):
         tilde = noise + a[i] @ old[:4, :4] @ a[i].T
@@ -118,8 +147,17 @@ def test_newborn_covariances_follow_from_the_linear_model(world):
     for i in range(2):
         rows = slice(7 + 3 * i, 10 + 3 * i)
         expected[rows, rows] += gains[i] @ noise @ gains[i].T
-    np.testing.assert_allclose(covariance, expected, rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(covariance, expected, rtol=2e-3, atol=1e-6)
     assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_a_measurement_that_may_be_clutter_informs_less(world):
+    """Moments of the mixture: the shift in proportion, the variance between those of the two cases."""
+    sure, half = births(world, True, (1.0, 1.0), 0.004), births(world, True, (0.7, 1e-6), 0.004)
+    one = births(world, True, (1.0, 1e-6), 0.004)
+    np.testing.assert_allclose(half[4][:7] - half[0][:7], 0.7 * (one[4][:7] - one[0][:7]), rtol=1e-6, atol=1e-12)
+    assert np.all(np.diag(one[5])[:7] <= np.diag(half[5])[:7] + 1e-15)
+    assert np.all(np.diag(sure[5])[:4] < np.diag(sure[1])[:4])
 
 
 def test_visible_share_is_soft(world):

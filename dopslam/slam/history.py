@@ -1,0 +1,128 @@
+"""What a filter run leaves behind: state and map after every step, and its diagnostics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.compiled import compiled, copy_vector
+from dopslam.slam.pmb import PMB
+
+Array = NDArray[np.float64]
+
+COLUMNS = 16  # of a map row: position 3, covariance 9, existence, P(VA | exists), kind, track
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics:
+    """What happened inside a run, one entry per step.
+
+    Attributes
+    ----------
+    nis, nis_rows : (K,) arrays; νᵀS⁻¹ν of the likeliest association and its degrees of freedom
+    weights : K arrays (g,); normalized association weights, the likeliest first
+    associations : K arrays (g, M); track of each measurement, -1 the BS, -2 new or clutter
+    existence : K arrays (M,); predicted existence of the track each measurement went to
+    """
+
+    nis: Array
+    nis_rows: NDArray[np.int64]
+    weights: tuple[Array, ...]
+    associations: tuple[NDArray[np.int64], ...]
+    existence: tuple[Array, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """State and map after every step; the map is ragged, step k owns rows map_offsets[k]:map_offsets[k + 1].
+
+    Attributes
+    ----------
+    mean : (K, n) array [m, m, rad, m(, m/s, rad/s)]
+    covariance : (K, n, n) array
+    map_offsets : (K + 1,) int array
+    position : (N, 3) array [m]; of the track's likelier type
+    position_covariance : (N, 3, 3) array
+    existence : (N,) array; r of the track
+    va_probability : (N,) array; P(VA | exists)
+    kind : (N,) int array; the likelier type, 1 VA or 2 SP
+    track : (N,) int array; number of the measurement that bore the track
+    """
+
+    mean: Array
+    covariance: Array
+    map_offsets: NDArray[np.int64]
+    position: Array
+    position_covariance: Array
+    existence: Array
+    va_probability: Array
+    kind: NDArray[np.int64]
+    track: NDArray[np.int64]
+
+    @property
+    def steps(self) -> int:
+        """Number of steps K."""
+        return len(self.mean)
+
+    def rows(self, step: int) -> slice:
+        """Map rows of one step."""
+        return slice(int(self.map_offsets[step]), int(self.map_offsets[step + 1]))
+
+    def reported(self, step: int, kind: int, threshold: float = 0.5) -> Array:
+        """Positions (·, 3) of the landmarks of one kind with existence above the threshold."""
+        rows = self.rows(step)
+        wanted = (self.kind[rows] == kind) & (self.existence[rows] > threshold)
+        return self.position[rows][wanted]
+
+
+@compiled
+def write_map(posterior, table, row):
+    """Write the map of a density into `table` from `row` on, one line per track; returns the row after the last."""
+    blocks = posterior.kind.shape[0]
+    n = posterior.mean.shape[0] - 3 * (blocks - 1)
+    b = 1
+    while b < blocks:
+        best, last = b, b
+        existence = va = 0.0
+        while last < blocks and posterior.track[last] == posterior.track[b]:
+            existence += posterior.weight[last]
+            if posterior.kind[last] == 1:
+                va += posterior.weight[last]
+            if posterior.weight[last] > posterior.weight[best]:
+                best = last
+            last += 1
+        start = n + 3 * (best - 1)
+        copy_vector(posterior.mean[start : start + 3], table[row])
+        for i in range(3):
+            for j in range(3):
+                table[row, 3 + 3 * i + j] = posterior.covariance[start + i, start + j]
+        table[row, 12] = existence
+        table[row, 13] = va / max(existence, 1e-300)
+        table[row, 14] = posterior.kind[best]
+        table[row, 15] = posterior.track[best]
+        row += 1
+        b = last
+    return row
+
+
+def map_table(posterior: PMB) -> Array:
+    """Map rows (T, 16) of one density."""
+    table = np.empty((posterior.kind.size - 1, COLUMNS))
+    return table[: write_map(posterior, table, 0)]
+
+
+def history_of(mean: Array, covariance: Array, map_offsets: NDArray[np.int64], table: Array) -> History:
+    """The record made of states (K, n), covariances (K, n, n) and the map rows of all steps."""
+    return History(
+        mean,
+        covariance,
+        map_offsets,
+        position=table[:, :3].copy(),
+        position_covariance=table[:, 3:12].reshape(-1, 3, 3).copy(),
+        existence=table[:, 12].copy(),
+        va_probability=table[:, 13].copy(),
+        kind=table[:, 14].astype(np.int64),
+        track=table[:, 15].astype(np.int64),
+    )
