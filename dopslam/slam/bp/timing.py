@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dopslam.slam.bp.experiment import Experiment, draw_scan, draw_track
+from dopslam.slam.bp.experiment import Experiment, draw_scan, draw_track, true_amplitudes
 from dopslam.slam.bp.likelihood import backend
 from dopslam.slam.bp.motion import particles
 from dopslam.slam.bp.records import PAPER, Form, Scan
@@ -22,8 +22,8 @@ def crowded_step(
 ) -> tuple[Stacked, StackedState, Scan]:
     """A filter, its converged state over ``features`` features of two types and a scan of ``measurements`` paths.
 
-    Half of the features are virtual anchors; the scan holds the line of sight, then as many features' paths as fit,
-    and false alarms if measurements are left.
+    Half of the features are virtual anchors; the scan holds the line of sight, two false alarms if there is room, and
+    features' paths.
     """
     rng = np.random.default_rng(seed)
     anchors = features // 2
@@ -41,7 +41,8 @@ def crowded_step(
     truth = draw_track(experiment, rng)
     scan, source = draw_scan(experiment, truth.position[0], float(truth.heading[0]), 0, rng)
     true, false = np.flatnonzero(source >= 0), np.flatnonzero(source < 0)
-    chosen = np.concatenate([true[np.argsort(source[true])], false])[:measurements]
+    true = true[np.argsort(source[true])][: measurements - min(2, measurements - 1)]
+    chosen = np.concatenate([true, false])[:measurements]
     parameters = replace(experiment.parameters, types=PAPER, false_alarm_rate=2.0)
     filter_ = Stacked(parameters, motion_of(experiment), experiment.radio, backend(likelihoods))
     spread = rng.standard_normal((2, size))
@@ -49,12 +50,13 @@ def crowded_step(
         np.column_stack([*(experiment.start[:2, None] + 0.005 * spread), np.zeros(size)]),
         np.column_stack([*(truth.velocity[0, :2, None] + 0.003 * rng.standard_normal((2, size))), np.zeros(size)]),
     )
+    amplitude = true_amplitudes(experiment, truth.position[0])
     cloud = np.empty((2, 3, features, size), np.float32)
     for k in range(features):
         cloud[:, :2, k] = places[k, :2, None] + 0.02 * rng.standard_normal((2, 2, size))
-        cloud[:, 2, k] = 20 + rng.standard_normal((2, size))
+        cloud[:, 2, k] = amplitude[1 + k] + 0.5 * rng.standard_normal((2, size))
     weight = np.tile([0.5, 0.5], (features, 1)) * 0.99
-    sight = (41.0 + rng.standard_normal(size)).astype(np.float32)
+    sight = (amplitude[0] + 0.5 * rng.standard_normal(size)).astype(np.float32)
     state = StackedState(agent, np.zeros(size), cloud, np.arange(features), weight, 0.99, sight, features)
     return filter_, state, scan.select(chosen)
 
