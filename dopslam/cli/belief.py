@@ -41,21 +41,17 @@ def belief_study(
         **summary(results),
     }
     table = Table("", "RMSE", "95 %", "bound", "RMSE / bound", box=None)
-    for name, key, unit, factor in (
-        ("position", "position_rmse", "m", 1e3),
-        ("orientation", "orientation_rmse", "deg", 1),
-    ):
-        low, high = (factor * v for v in result[f"{key}_interval_{unit}"])
-        limit = factor * result[key.replace("rmse", "bound") + f"_{unit}"]
-        ratio = result["rmse_over_bound"]["position" if factor > 1 else "heading"]
-        shown = "mm" if factor > 1 else "°"
-        table.add_row(
-            name,
-            f"{factor * result[f'{key}_{unit}']:.3f} {shown}",
-            f"{low:.3f} – {high:.3f}",
-            f"{limit:.3f}",
-            f"{ratio:.3f}",
-        )
+    low, high = (1e3 * v for v in result["position_rmse_interval_m"])
+    position, limit = 1e3 * result["position_rmse_m"], 1e3 * result["position_bound_m"]
+    ratio = result["rmse_over_bound"]
+    table.add_row(
+        "position [mm]", f"{position:.2f}", f"{low:.2f} – {high:.2f}", f"{limit:.2f}", f"{ratio['position']:.3f}"
+    )
+    low, high = result["orientation_rmse_interval_deg"]
+    turn, limit = result["orientation_rmse_deg"], result["orientation_bound_deg"]
+    table.add_row(
+        "orientation [°]", f"{turn:.3f}", f"{low:.3f} – {high:.3f}", f"{limit:.3f}", f"{ratio['heading']:.3f}"
+    )
     console = Console()
     console.print(table)
     console.print(
