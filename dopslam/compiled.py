@@ -30,18 +30,14 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     try:
-        return numba.njit(cache=True, error_model="numpy", **options)(function)
+        return numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     except RuntimeError:  # "cannot cache function ...: no locator available for file"
-        return numba.njit(error_model="numpy", **options)(function)
+        return numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
 
 
 def compiled_without_lock(function: Callable[..., Any]) -> Any:
     """:func:`compiled` for kernels that threads share: they run without the interpreter's lock."""
-    try:
-        dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:
-        return numba.njit(nogil=True, error_model="numpy")(function)
-    return dispatcher
+    return _compiled(function, nogil=True)
 
 
 # Assigning a whole array inside a kernel pulls numba's broadcasting and its error texts into the machine code, some ten
