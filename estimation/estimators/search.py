@@ -113,7 +113,7 @@ class StagedSearch:
         max_speed: float,
         arrival_view: View,
         departure_view: View,
-        oversampling: float = 1.25,
+        oversampling: float = 1.5,
         retained: float = 0.7,
         keep_cells: int = 4000,
         keep_pairs: int = 4000,
