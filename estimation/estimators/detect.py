@@ -110,3 +110,14 @@ def detection_probability(snr, threshold: float, parameters: int = 6):
     ``snr`` is the true post-integration SNR rho, linear.
     """
     return ncx2.sf(2 * threshold, 2 + parameters, 2 * np.asarray(snr, float))
+
+
+def fitted_excess(snr, threshold: float, parameters: int = 6):
+    """By how much the statistic of a detected path of true SNR rho exceeds rho on average.
+
+    ``E[X | X > 2 u] / 2 - rho`` for X = chi'^2_{2+p}(2 rho): the noise in the fitted dimensions, 1 + p/2, and near the
+    threshold u the luck of having been detected.
+    """
+    size, shift = 2 + parameters, 2 * np.asarray(snr, float)
+    above = [ncx2.sf(2 * threshold, size + more, shift) for more in (0, 2, 4)]
+    return 0.5 * (size * above[1] + shift * above[2]) / np.maximum(above[0], 1e-300) - 0.5 * shift

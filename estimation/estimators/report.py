@@ -11,6 +11,7 @@ from ..detections import Detections, Flag
 from ..fisher import path_covariances
 from ..signal.algebra import coherence
 from ..signal.paths import tangent_jacobian
+from .detect import fitted_excess
 from .projector import Projector
 from .refine import Linearization, information, linearize
 
@@ -38,15 +39,16 @@ def empty(estimator: Nomp, noise_variance: float) -> Detections:
     )
 
 
-def unbiased(lin: Linearization, snr, active) -> Linearization:
+def unbiased(lin: Linearization, snr, threshold: float, active) -> Linearization:
     """With gains whose energies are right on average, for covariances that are.
 
-    A fitted path explains its own energy and that of the noise in its 2 + p dimensions: the statistic is
-    chi'^2_{2+p}(2 rho) / 2, whose mean is rho + 1 + p/2. Information at the fitted gain would be too large by that,
-    a sixth at 14 dB.
+    A fitted path explains its own energy and that of the noise in its dimensions, and one near the threshold was
+    lucky: information at the fitted gain would be too large, by a sixth at 14 dB. One step of bias correction.
     """
-    share = (1 + 0.5 * np.sum(active)) / snr
-    return replace(lin, gain=lin.gain * np.sqrt(np.maximum(1 - share, 0.5)))
+    size = int(np.sum(active))
+    rough = np.maximum(snr - (1 + 0.5 * size), 1.0)
+    share = fitted_excess(rough, threshold, size) / snr
+    return replace(lin, gain=lin.gain * np.sqrt(np.clip(1 - share, 0.3, 1.0)))
 
 
 def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
@@ -57,7 +59,7 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     lin = lin.sorted(order) if np.array_equal(geometry.delay, lin.geometry.delay[order]) else linearize(data, geometry)
     snr = lin.drop / noise_variance
     tangent = path_covariances(
-        information(unbiased(lin, snr, model.active), model.active) * 2 / noise_variance, model.active
+        information(unbiased(lin, snr, estimator.level, model.active), model.active) * 2 / noise_variance, model.active
     )
     scale = tangent_jacobian(geometry)
     with np.errstate(invalid="ignore"):

@@ -64,6 +64,9 @@ class Sage(Nomp):
             if rest is not None:
                 inner = inner - gram(model, blocks, rest, plain=True)[..., 0] @ gain[others]
             matrix = gram_diagonal(model, blocks)
+            if matrix[0, 0, 0].real <= 0:  # where the element pattern vanishes there is nothing to maximize
+                gain[path] = 0.0
+                break
             gain[path] = inner[0, 0] / matrix[0, 0, 0].real
             slope = np.real(np.conj(gain[path]) * (inner - matrix[:, :, 0] * gain[path])[:, 1:]) * active
             curvature = metric(matrix, active) * np.abs(gain[path]) ** 2 * matrix[0, 0, 0].real

@@ -244,7 +244,7 @@ class StagedSearch:
             ("arrival", ports, self.received(model.receiver.response(self.arrivals)[0]), self.arrivals, sent),
         ):
             power = np.abs(values @ vectors.conj().T) ** 2 / np.maximum(np.sum(np.abs(vectors) ** 2, axis=1), 1e-300)
-            power /= scale * np.sum(np.abs(squared) ** 2, axis=1)[:, None]
+            power /= np.maximum(scale * np.sum(np.abs(squared) ** 2, axis=1)[:, None], 1e-300)
             nearest = np.argmax(getattr(found, end) @ grid.T, axis=1)
             table = self.lobes.departures if end == "departure" else self.lobes.arrivals
             rival = np.where(table[nearest] > RADIUS**2, power, 0.0)

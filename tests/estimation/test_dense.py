@@ -8,6 +8,7 @@ import pytest
 from estimation import SignalModel, comb, digital, synthesize, ura
 from estimation.estimators.cells import Cells
 from estimation.estimators.dense import DenseSearch
+from estimation.estimators.detect import fitted_excess
 from estimation.estimators.grids import cover
 from estimation.estimators.projector import Projector
 from estimation.estimators.refine import joint_fit
@@ -101,8 +102,20 @@ def test_covariances_leave_the_noise_out_of_the_energy(link):
         data = Projector(link, synthesize(link, path, 1.0, rng), None)
         lin = joint_fit(data, path.geometry, 1.0, 1e-3)
         plain.append(lin.drop[0] / 30.0)
-        energy = np.abs(unbiased(lin, lin.drop, link.active).gain[0]) ** 2
+        energy = np.abs(unbiased(lin, lin.drop, 1.0, link.active).gain[0]) ** 2
         ratio.append(energy * lin.gram[0, 0, 0, 0].real / 30.0)
     # The standard error of a mean over 60 is 0.05.
     assert np.mean(plain) > 1.06
     assert abs(np.mean(ratio) - 1) < 0.15
+
+
+def test_detected_paths_are_not_stronger_than_they_are():
+    """The mean excess of detected statistics against draws from the law; correcting for it leaves no bias."""
+    rng = np.random.default_rng(6)
+    for rho in (20.0, 28.0, 45.0, 300.0):
+        statistic = 0.5 * rng.noncentral_chisquare(8, 2 * rho, 40_000)
+        detected = statistic[statistic > 26]
+        excess = fitted_excess(rho, 26.0, 6)
+        assert abs(detected.mean() - rho - excess) < 5 * detected.std() / np.sqrt(len(detected))
+        corrected = detected - fitted_excess(np.maximum(detected - 4, 1.0), 26.0, 6)
+        assert rho < 25 or abs(corrected.mean() / rho - 1) < 0.06

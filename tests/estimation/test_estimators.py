@@ -261,3 +261,6 @@ def test_a_path_that_a_step_takes_behind_the_array_gets_no_gain(link):
     lin = linearize(Projector(model, signal, None), paths.geometry)
     assert lin.gain[1] == 0 and abs(lin.gain[0] - 1) < 1e-3
     assert np.isfinite(information(lin, model.active)).all() and np.isfinite(lin.drop).all()
+    sage, gain = Sage(model, threshold=25.0), lin.gain.copy()
+    assert np.array_equal(sage._maximize(Projector(model, signal, None), paths.geometry, gain, 1).delay, paths.delay)
+    assert gain[1] == 0
