@@ -38,8 +38,7 @@ class Cells:
     @staticmethod
     def build(vectors: Complex, points: Complex, count: int) -> Cells:
         """Tables for dictionary ``vectors`` (C, M), ``points`` (C, J, M) about each cell and ``count`` neighbors."""
-        unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-        points = points / np.linalg.norm(points, axis=2, keepdims=True)
+        unit, points = _normalized(vectors), _normalized(points)
         near = np.abs(unit.conj() @ unit.T)
         neighbors = np.argsort(-near - np.eye(len(near)), axis=1, kind="stable")[:, : min(count, len(near))]
         around = unit[neighbors]
@@ -53,6 +52,11 @@ class Cells:
         """Weights (P, c, n) with which the neighbors of ``cell`` (P,) give the vectors ``block`` (P, c, M)."""
         around = self.vectors[self.neighbors[cell]]
         return np.matmul(np.matmul(block, around.conj().swapaxes(1, 2)), self.inverse[cell].swapaxes(1, 2))
+
+
+def _normalized(vectors: Complex) -> Complex:
+    """Vectors along the last axis at unit length; those that an element pattern hides stay 0."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
 def line_points(rates: Complex, grid: Float, offsets: Float) -> Complex:
