@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from dopslam import dataset
+from dopslam import columns, dataset
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track, same
 
@@ -137,6 +137,36 @@ def test_a_changed_byte_is_noticed_or_harmless(tmp_path):
         except DatasetError:
             noticed += 1
     assert noticed > 20
+
+
+def test_a_large_record_is_hashed_beside_reading_and_its_damage_noticed(tmp_path):
+    path, record = tmp_path / "d.h5", make_paths(rows=(60_000, 40_001))
+    assert sum(column.nbytes for column in vars(record).values()) > columns.OVERLAP
+    dataset.write_record(path, "paths", record)
+    assert same(dataset.read_record(path, "paths", Paths), record)
+    assert dataset.verify_group(path, "paths") == dataset.content_hash(record)
+    whole = path.read_bytes()
+    for name in ("a", "vertices"):  # the first and the last that are read, in the last chunk
+        at = whole.rindex(getattr(record, name)[-1:].tobytes())
+        path.write_bytes(whole[: at + 2] + bytes([whole[at + 2] ^ 1]) + whole[at + 3 :])
+        with pytest.raises(DatasetError, match="does not match its checksum"):
+            dataset.read_record(path, "paths", Paths)
+
+
+def test_a_damaged_signal_is_noticed_whole_and_by_the_snapshot(tmp_path):
+    path, rng = tmp_path / "d.h5", np.random.default_rng(4)
+    snapshots = [rng.normal(size=(40, 30, 2)).astype(np.complex64) for _ in range(3)]
+    dataset.write_record(path, "track", make_track())
+    dataset.write_signal(path, iter(snapshots), 3)
+    dataset.verify_group(path, "signal")
+    whole = path.read_bytes()
+    at = whole.rindex(snapshots[1][-1, -1].tobytes())
+    path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+    assert np.array_equal(dataset.read_snapshot(path, 0), snapshots[0])
+    with pytest.raises(DatasetError, match="damaged"):
+        dataset.read_snapshot(path, 1)
+    with pytest.raises(DatasetError, match="does not match its checksum"):
+        dataset.verify_group(path, "signal")
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path, monkeypatch):
