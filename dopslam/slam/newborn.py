@@ -72,11 +72,12 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
     spread = share * (1.0 - share)
     for i in range(at):
         mean[i] += share * shift[i]
-        for j in range(at):
+        for j in range(i + 1):  # one half, mirrored: symmetric to the last digit
             value = spread * shift[i] * shift[j]
             for k in range(m):
                 value -= share * white[k, 4 + i] * white[k, 4 + j]
             covariance[i, j] += value
+            covariance[j, i] = covariance[i, j]
     return True
 
 
@@ -136,12 +137,13 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
                 covariance[at + i, j] = value
                 covariance[j, at + i] = value
         for i in range(3):
-            for j in range(3):
+            for j in range(i + 1):
                 value = own[i, j]
                 if informed:
                     for k in range(n):
                         value += pull[j, k] * covariance[at + i, k]
                 covariance[at + i, at + j] = value
+                covariance[at + j, at + i] = value
 
 
 @compiled
