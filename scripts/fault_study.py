@@ -29,12 +29,12 @@ from pathlib import Path
 import numpy as np
 
 from dopslam import dataset
-from dopslam.datasets.manifest import FILE
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
 
 TYPES = {kind.__name__: kind for kind in (Track, Landmarks, Paths, DetectionSeries)}
 TIMEOUT = 60  # s, for reading one small file
+FILE = "manifest.json"  # not imported: every reading process would load the whole package
 
 
 def make_file(path: Path) -> None:
