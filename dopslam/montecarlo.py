@@ -178,10 +178,12 @@ def run_study(study: Study, runs: int, seed: int = 0, jobs: int = 1) -> list[Run
     warm_up(study)  # fills the cache of compiled code before the workers ask for it
     if jobs == 1:
         return [run_once(study, seed, r) for r in range(runs)]
-    with_threads = Parallel(n_jobs=jobs, batch_size="auto")
-    return list(with_threads(delayed(_warm_run)(study, seed, r) for r in range(runs)))
+    # Fixed batches of some tenths of a second: joblib's own grow until the last one keeps a single worker busy.
+    parallel = Parallel(n_jobs=jobs, batch_size=_BATCH)
+    return list(parallel(delayed(_warm_run)(study, seed, r) for r in range(runs)))
 
 
+_BATCH = 4  # runs that a worker takes at a time
 _warm = False
 
 
