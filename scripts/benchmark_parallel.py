@@ -1,10 +1,11 @@
 """What a second worker brings, in estimation and in Monte Carlo studies; leave the machine alone meanwhile.
 
-    python scripts/benchmark_parallel.py [--jobs 2] [--steps 80] [--runs 600]
+    python scripts/benchmark_parallel.py [--jobs 2] [--steps 80] [--runs 300] [--rounds 3]
 
-Seconds of wall time with one worker and with several. ``start_s`` is what the workers take once to start, import and
-load compiled code (the first call less a later one); ``speedup`` is that of a later call, ``speedup_with_start`` of the
-first. The results of all calls are compared to the last bit. One line of JSON each.
+Median seconds of wall time with one worker and with several. ``start_s`` is what the workers take once to start, import
+and load compiled code. ``limit`` is the speed-up of processes that have nothing to do with each other, each doing the
+whole work at the same time as the others: what the machine gives. The results of all calls are compared to the last bit.
+One line of JSON each.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import time
 from dataclasses import fields
 
 import numpy as np
+from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from dopslam import build, geometry, pipeline
@@ -29,20 +31,37 @@ def timed(function, *arguments):
     return result, time.perf_counter() - start
 
 
-def compare(name: str, work, jobs: int, same) -> dict:
-    """One worker, several at first, several again."""
+def compare(name: str, work, jobs: int, same, rounds: int) -> dict:
+    """One worker, several, and as many single ones side by side; in turn, since a shared machine changes its pace."""
     work(1, True)  # compiles and calibrates
-    alone, one = timed(work, 1, False)
-    first, cold = timed(work, jobs, False)
-    later, warm = timed(work, jobs, False)
+    _, cold = timed(work, jobs, False)
+    beside = Parallel(n_jobs=jobs)
+    one, several, apart, alike = [], [], [], True
+    for _ in range(rounds):
+        alone, seconds = timed(work, 1, False)
+        one.append(seconds)
+        together, seconds = timed(work, jobs, False)
+        several.append(seconds)
+        alike &= same(alone, together)
+        apart.append(max(beside(delayed(seconds_of)(work) for _ in range(jobs))))
+    median = {"one_s": np.median(one), "several_s": np.median(several), "side_by_side_s": np.median(apart)}
     return {
-        "what": name, "jobs": jobs, "one_s": round(one, 2), "first_s": round(cold, 2), "later_s": round(warm, 2),
-        "start_s": round(cold - warm, 2), "speedup": round(one / warm, 2), "speedup_with_start": round(one / cold, 2),
-        "same_result": same(alone, first) and same(alone, later),
+        "what": name, "jobs": jobs, "rounds": rounds, **{k: round(float(v), 2) for k, v in median.items()},
+        "start_s": round(cold - float(median["several_s"]), 2),
+        "speedup": round(float(median["one_s"] / median["several_s"]), 2),
+        "limit": round(float(jobs * median["one_s"] / median["side_by_side_s"]), 2),
+        "same_result": alike,
     }  # fmt: skip
 
 
-def estimation(jobs: int, steps: int) -> dict:
+def seconds_of(work) -> float:
+    """Seconds of the whole work done by one worker, in the process that this is called in."""
+    with threadpool_limits(1):
+        work(1, True)
+        return timed(work, 1, False)[1]
+
+
+def estimation(jobs: int, steps: int, rounds: int) -> dict:
     """Detections of every snapshot of a ring road with its paths in closed form."""
     scenario = load("ring_road", [f"track.steps={steps}", "source.kind=traced"])
     short = load("ring_road", ["track.steps=2", "source.kind=traced"])
@@ -59,7 +78,7 @@ def estimation(jobs: int, steps: int) -> dict:
             )
         return pipeline.estimate(scenario, signal, workers)
 
-    return compare(f"estimation of {steps} snapshots", work, jobs, equal)
+    return compare(f"estimation of {steps} snapshots", work, jobs, equal, rounds)
 
 
 def line_of_sight_and_points(scenario, track: Track) -> Paths:
@@ -93,7 +112,7 @@ def line_of_sight_and_points(scenario, track: Track) -> Paths:
     )  # fmt: skip
 
 
-def montecarlo(jobs: int, runs: int) -> dict:
+def montecarlo(jobs: int, runs: int, rounds: int) -> dict:
     """Runs of the joint filter on detections drawn from the model."""
     plan = study(load("ring_road"))
 
@@ -103,7 +122,7 @@ def montecarlo(jobs: int, runs: int) -> dict:
     def alike(left, right):
         return all(np.array_equal(a.nees, b.nees) for a, b in zip(left, right, strict=True))
 
-    return compare(f"{runs} Monte Carlo runs", work, jobs, alike)
+    return compare(f"{runs} Monte Carlo runs", work, jobs, alike, rounds)
 
 
 def equal(left, right) -> bool:
@@ -115,8 +134,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--steps", type=int, default=80)
-    parser.add_argument("--runs", type=int, default=600)
+    parser.add_argument("--runs", type=int, default=300)
+    parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     with threadpool_limits(1):  # as in the workers and the command line
-        print(json.dumps(estimation(options.jobs, options.steps)), flush=True)
-        print(json.dumps(montecarlo(options.jobs, options.runs)))
+        print(json.dumps(estimation(options.jobs, options.steps, options.rounds)), flush=True)
+        print(json.dumps(montecarlo(options.jobs, options.runs, options.rounds)))
