@@ -24,12 +24,14 @@ def free_port():
 
 
 @pytest.fixture(scope="module")
-def scheduler():
+def scheduler(tmp_path_factory):
     pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     address = f"tcp://127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    # Away from the sources: a module in the current folder would hide the installed one and its compiled kernels.
+    folder = tmp_path_factory.mktemp("dask")
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": folder}
     started = [
         subprocess.Popen(
             [*command, "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], **quiet
