@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
+from dopslam.build import assumptions
 from dopslam.config import Scenario
 from dopslam.errors import ConfigError
 from dopslam.models.amplitude import AmplitudeModel, Radio, flat_rms_bandwidth
 from dopslam.records import SPEED_OF_LIGHT
 from dopslam.slam.bp.cases import Case
 from dopslam.slam.bp.experiment import Experiment
-from dopslam.slam.bp.records import TYPES, Form, Parameters
+from dopslam.slam.bp.records import Form, Parameters
 
 _CONVERGENCE = 20  # steps that a uniform start is given before its errors count
-_TAIL = 0.1  # share of the heavy tail assumed where spurious peaks are drawn
 
 
 def experiment_of(scenario: Scenario) -> Experiment:
@@ -71,22 +71,14 @@ def experiment_of(scenario: Scenario) -> Experiment:
 
 def parameters_of(scenario: Scenario, experiment: Experiment) -> Parameters:
     """The filter's parameters: matched to the experiment, the rest from ``[belief]``."""
-    belief = scenario.belief
-    tail = belief.false_alarm_tail
-    if tail is None:
-        tail = _TAIL if experiment.spurious_rate > 0 else 0.0
+    belief, matched = scenario.belief, experiment.parameters
+    amplitude = matched.amplitude
+    if belief.false_alarm_tail is not None:
+        amplitude = replace(amplitude, tail_weight=belief.false_alarm_tail)
     return replace(
-        experiment.parameters,
-        amplitude=replace(experiment.detector, tail_weight=tail),
-        types=TYPES[belief.types or "paper"],
-        survival=belief.survival,
-        birth_rate=belief.birth_rate,
-        type_switch=belief.type_switch,
-        position_walk=belief.position_walk,
-        amplitude_walk=belief.amplitude_walk,
-        reacquisition=belief.reacquisition,
-        detection_threshold=belief.detection_threshold,
-        pruning_threshold=belief.pruning_threshold,
+        matched,
+        amplitude=amplitude,
+        **asdict(assumptions(belief, "paper")),
     )
 
 
@@ -99,14 +91,15 @@ def case_of(scenario: Scenario) -> Case:
     skip = belief.skip if belief.skip is not None else (0 if informed else _CONVERGENCE)
     if skip >= experiment.steps:
         raise ConfigError(f"{scenario.name}: belief.skip = {skip} leaves none of the {experiment.steps} steps to score")
+    parameters = parameters_of(scenario, experiment)
     return Case(
         experiment,
-        TYPES[belief.types or "paper"],
+        parameters.types,
         scenario.filter.particles,
         informed,
         skip,
         belief.engine,
         belief.backend,
         belief.speed_increment,
-        parameters_of(scenario, experiment),
+        parameters,
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
+from dopslam.belief_config import BeliefConfig
 from dopslam.config import Scenario
 from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
@@ -11,7 +14,7 @@ from dopslam.models.scans import Scans, from_detections
 from dopslam.records import DetectionSeries, Kind, Landmarks
 from dopslam.simulate import FixedNoise, Situation
 from dopslam.slam.bp.adapter import Setup, turning
-from dopslam.slam.bp.records import TYPES
+from dopslam.slam.bp.records import TYPES, Assumptions
 from dopslam.slam.ek_pmb import FilterParameters
 
 
@@ -97,17 +100,15 @@ def belief_setup(scenario: Scenario) -> Setup:
         motion=turning(track.period, track.turn_rate, np.array(track.process_std)),
         speed=track.speed,
         yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
-        types=TYPES[belief.types or "single_bounce"],
+        assumptions=assumptions(belief, "single_bounce"),
         false_alarm_tail=0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
-        position_walk=belief.position_walk,
-        birth_rate=belief.birth_rate,
-        survival=belief.survival,
-        type_switch=belief.type_switch,
-        amplitude_walk=belief.amplitude_walk,
-        reacquisition=belief.reacquisition,
-        detection_threshold=belief.detection_threshold,
-        pruning_threshold=belief.pruning_threshold,
     )
+
+
+def assumptions(belief: BeliefConfig, types: str) -> Assumptions:
+    """What ``[belief]`` says about the features; ``types`` holds where it leaves them open."""
+    own = {field.name for field in fields(Assumptions)} - {"types"}
+    return Assumptions(types=TYPES[belief.types or types], **belief.model_dump(include=own))
 
 
 def filter_parameters(

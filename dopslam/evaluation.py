@@ -13,7 +13,7 @@ from dopslam.config import Scenario
 from dopslam.models.measurement import residual
 from dopslam.models.scans import CLUTTER, Scans
 from dopslam.records import Kind, Landmarks, Track
-from dopslam.slam.ek_pmb import History
+from dopslam.slam.history import History
 
 ASSOCIATION_GATE = 100.0  # squared Mahalanobis distance (6 degrees of freedom) beyond which a detection is false
 

@@ -122,7 +122,7 @@ def _tum(parts: list[Part], out: Path) -> None:
             path = handles.setdefault(drive, out / f"drive-{drive:05d}.tum")
             with open(path, "a", encoding="ascii") as file:
                 file.writelines(_pose_lines(track.time[rows], track.position[rows], track.heading[rows]))
-        from dopslam.slam.ek_pmb import History
+        from dopslam.slam.history import History
 
         for group in dataset.groups(part.path):
             if group.startswith("slam_"):

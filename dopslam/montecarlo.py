@@ -23,7 +23,7 @@ from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.simulate import Situation, simulate
 from dopslam.slam import ek_pmb, pmbm, smoother
-from dopslam.slam.ek_pmb import Diagnostics, History
+from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb import BS_TRACK, NO_TRACK, FilterParameters
 from dopslam.slam.smoother import SmootherParameters
 

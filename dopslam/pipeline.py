@@ -25,7 +25,7 @@ from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
 from dopslam.slam import ek_pmb, smoother
-from dopslam.slam.ek_pmb import History
+from dopslam.slam.history import History
 
 Progress = Callable[[str, int, int], None]
 

@@ -13,7 +13,7 @@ from dopslam.evaluation import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
 from dopslam.report import figures, folder, tables
-from dopslam.slam.ek_pmb import History
+from dopslam.slam.history import History
 
 
 def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:

@@ -56,7 +56,7 @@ def plan_view(
     ----------
     plan : outlines of the scene's objects, or None
     track, landmarks, paths : the truth; paths may be None (detections drawn from the model)
-    history : ``dopslam.slam.ek_pmb.History``
+    history : ``dopslam.slam.history.History``
     step : whose rays are drawn
     threshold : existence above which a landmark is drawn
     """

@@ -48,7 +48,7 @@ def belief_map(plan: FloorPlan | None, track: Track, landmarks: Landmarks, histo
     ----------
     plan : outlines of the scene's objects, or None
     track, landmarks : the truth
-    history : ``dopslam.slam.ek_pmb.History``
+    history : ``dopslam.slam.history.History``
     threshold : existence above which a feature is drawn
     """
     figure = Figure(figsize=(7.0, 6.0))

@@ -11,7 +11,7 @@ from dopslam import dataset, foreign, stages
 from dopslam.config import load
 from dopslam.errors import DatasetError
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
-from dopslam.slam.ek_pmb import History
+from dopslam.slam.history import History
 
 FULL = """
 [columns]

@@ -9,7 +9,7 @@ paper B does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Kind
 from dopslam.slam.bp import geometry
 from dopslam.slam.bp.motion import Motion, SpeedHeading, particles
 from dopslam.slam.bp.rao_blackwell import RaoBlackwell
-from dopslam.slam.bp.records import AOD_FOR_SINGLE_BOUNCE, Estimate, Form, Parameters, Scan
-from dopslam.slam.ek_pmb import History
+from dopslam.slam.bp.records import AOD_FOR_SINGLE_BOUNCE, Assumptions, Estimate, Form, Parameters, Scan
+from dopslam.slam.history import History
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,8 @@ class Setup:
     motion : of the agent; speed : m/s at the start, speed_deviation : m/s
     spatial : three-dimensional features; otherwise the horizontal plane
     largest_elevation : rad, detections with a larger arrival elevation are left out in the plane
-    types : likelihood forms; false_alarm_tail : share of false alarms as strong as paths
-    position_walk : σ_y of the features [m], far below the motion of an incidence point per step
-    birth_rate : new features per step; detection_probability : for detections without amplitudes
-    survival, type_switch, amplitude_walk, reacquisition, detection_threshold, pruning_threshold : as in
-        :class:`~dopslam.slam.bp.records.Parameters`
+    assumptions : on the features; false_alarm_tail : share of false alarms as strong as paths
+    detection_probability : for detections without amplitudes
     """
 
     anchor: np.ndarray
@@ -52,17 +49,9 @@ class Setup:
     yaw: float = 0.0
     spatial: bool = True
     largest_elevation: float = np.deg2rad(20.0)
-    types: tuple[Form, ...] = AOD_FOR_SINGLE_BOUNCE
+    assumptions: Assumptions = field(default_factory=lambda: Assumptions(types=AOD_FOR_SINGLE_BOUNCE))
     false_alarm_tail: float = 0.1
-    position_walk: float = 1e-3
-    birth_rate: float = 0.05
     detection_probability: float = 0.9
-    survival: float = 0.999
-    type_switch: float = 0.01
-    amplitude_walk: float = 0.05
-    reacquisition: float = 0.02
-    detection_threshold: float = 0.5
-    pruning_threshold: float = 1e-3
 
 
 def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_walk: float = 0.0) -> SpeedHeading:
@@ -116,29 +105,22 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
     """
     lengths = SPEED_OF_LIGHT * series.delay
     end = float(1.2 * np.max(lengths, initial=1.0))
+    assumptions = setup.assumptions
     if len(series.snr) == 0 or np.ptp(series.snr) == 0:  # drawn from a model without amplitudes
-        amplitude, amplitude_end, reacquisition = ConstantDetection(setup.detection_probability), 1.0, 0.0
+        amplitude, amplitude_end = ConstantDetection(setup.detection_probability), 1.0
+        assumptions = replace(assumptions, reacquisition=0.0)
     else:
         amplitude_end = float(max(2 * np.sqrt(series.snr.max()), 2 * np.sqrt(series.threshold)))
         amplitude = AmplitudeModel(float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end)
-        reacquisition = setup.reacquisition
     reach = max(end - abs(float(setup.mean[3])), 1.0)
     parameters = Parameters(
+        **asdict(assumptions),
         anchor=np.asarray(setup.anchor, float) * (1.0 if setup.spatial else np.array([1.0, 1.0, 0.0])),
         amplitude=amplitude,
-        types=setup.types,
-        birth_rate=setup.birth_rate,
         volume=(2 * reach) ** (3 if setup.spatial else 2),
         amplitude_end=amplitude_end,
-        reacquisition=reacquisition,
         false_alarm_rate=max(series.false_alarm_rate, 1e-3),
         distance_end=end,
-        position_walk=setup.position_walk,
-        survival=setup.survival,
-        type_switch=setup.type_switch,
-        amplitude_walk=setup.amplitude_walk,
-        detection_threshold=setup.detection_threshold,
-        pruning_threshold=setup.pruning_threshold,
         rescale_covariance=False,
         spatial=setup.spatial,
     )
@@ -171,7 +153,7 @@ def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: 
     for scan in scans_of(series, setup):
         state, info = filter_.step(rng, state, scan)
         estimates.append(info.estimate)
-    return history_of(estimates, setup.types)
+    return history_of(estimates, setup.assumptions.types)
 
 
 def history_of(estimates: list[Estimate], types: tuple[Form, ...]) -> History:

@@ -85,28 +85,47 @@ class Scan:
         return Scan(self.distance[rows], self.aoa[rows], self.aod[rows], self.amplitude[rows], self.covariance[rows])
 
 
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """What a filter assumes about map, detector and types (paper B, Sections IV and VI-A).
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assumptions:
+    """What a filter assumes whatever the scene (paper B, Sections IV and VI-A).
+
+    Parameters
+    ----------
+    types : likelihood forms of the feature types, e.g. :data:`PAPER` or :data:`AOD_FOR_VA`
+    type_switch : total probability to leave a type in one step (off-diagonal mass of a row of [Q])
+    survival : p_s
+    birth_rate : μ_n, mean number of new features per step
+    position_walk : σ_y per step and axis [m]; must be far below the motion of an incidence point per step
+    amplitude_walk : relative standard deviation of the amplitude's random walk per step
+    reacquisition : weight of a uniform amplitude in the likelihood, lets a blocked feature return (guard g3)
+    detection_threshold, pruning_threshold : on the existence probability
+    """
+
+    types: tuple[Form, ...] = PAPER
+    type_switch: float = 0.01
+    survival: float = 0.999
+    birth_rate: float = 0.05
+    position_walk: float = 1e-3
+    amplitude_walk: float = 0.05
+    reacquisition: float = 0.02
+    detection_threshold: float = 0.5
+    pruning_threshold: float = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameters(Assumptions):
+    """What a filter is told about map and detector, beside its assumptions.
 
     Parameters
     ----------
     anchor : (3,) position of the physical anchor [m], world frame
     amplitude : statistics of the estimated amplitudes
-    types : likelihood forms of the feature types, e.g. :data:`PAPER` or :data:`AOD_FOR_VA`
     type_prior : prior of the types at birth; uniform if None
-    type_switch : total probability to leave a type in one step (off-diagonal mass of a row of [Q])
-    survival : p_s
-    birth_rate : μ_n, mean number of new features per step
     volume : area [m²] or volume [m³] in which new features are uniform
     amplitude_end : u_max, new features' amplitudes are uniform in [0, u_max]
     false_alarm_rate : μ_fa per step
     distance_end : d_max [m], false alarms' distances are uniform in [0, d_max]
-    position_walk : σ_y per step and axis [m]; must be far below the motion of an incidence point per step
-    amplitude_walk : relative standard deviation of the amplitude's random walk per step
-    reacquisition : weight of a uniform amplitude in the likelihood, lets a blocked feature return (guard g3)
     return_probability : probability that a vanished line of sight returns in one step
-    detection_threshold, pruning_threshold : on the existence probability
     spatial : whether features have three unknown coordinates
     rescale_covariance : whether the scan's covariances scale with 1/u² and are re-evaluated at the filtered
         amplitude
@@ -114,21 +133,12 @@ class Parameters:
 
     anchor: np.ndarray
     amplitude: AmplitudeModel | ConstantDetection
-    types: tuple[Form, ...] = PAPER
     type_prior: tuple[float, ...] | None = None
-    type_switch: float = 0.01
-    survival: float = 0.999
-    birth_rate: float = 0.05
     volume: float = 160.0**2
     amplitude_end: float = 200.0
     false_alarm_rate: float = 2.0
     distance_end: float = 80.0
-    position_walk: float = 1e-3
-    amplitude_walk: float = 0.05
-    reacquisition: float = 0.02
     return_probability: float = 0.02
-    detection_threshold: float = 0.5
-    pruning_threshold: float = 1e-3
     rescale_covariance: bool = True
     spatial: bool = False
 
