@@ -11,7 +11,7 @@ judged by its neighborhood: along each mode, the best of a few points between th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,27 +23,33 @@ from .cells import Cells, Single, line_points, ring
 from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import scan, screen
 from .lobes import LobeMap
-from .polish import CellProjector, ResidualProjector
-from .search import BLOCK, C64, Effort, largest, subtracted
+from .polish import MatchedProjector, ResidualProjector
+from .search import C64, Effort, largest
 
 NOISE_CELL = 7.0
 """Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best
 cell, but for rare scalloping.
 """
+TRIFLE = 0.01
+"""A known path stays in rows of the spectrum where it has less than this share of the noise variance."""
+PROMISING = 0.75
+"""Cells whose neighborhood has less than this share of an energy do not reach it when refined (1 in 300 do)."""
 MOST = 20_000
 """High cells of one scan; a scan that finds more raises its level."""
+BLOCK = 1 << 17
+"""Cells worked on at a time: one megabyte, so that intermediate results stay near the core."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """A filtered signal: ``delays`` (L, N, N_R, N_T) matched to delays only, ``cells`` (L, V, A, D) to everything.
+    """A filtered signal: ``partial`` (L, V, N_R, N_T) matched to delays and speeds, ``cells`` (L, V, A, D) to everything.
 
-    Known paths are out of the cells, not out of the delays. ``scratch`` is room for another set of cells.
+    ``known`` are the factors (P, L), (P, V), (P, A) and (P, D) of paths that are to be taken out of the cells.
     """
 
-    delays: Single
+    partial: Single
     cells: Single
-    scratch: Single
+    known: tuple[Single, Single, Single, Single]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,72 +135,89 @@ class DenseSearch:
         """Floating-point operations of :meth:`filtered`: the least that one search costs."""
         pilots, symbols, ports, elements = model.shape
         delays, speeds, arrivals, departures = self.shape
-        columns = symbols * ports * elements
         length = self.delay.length
-        first = 5 * length * np.log2(length) if length else 8 * delays * pilots
-        rest = symbols * ports * elements + departures * ports * elements + arrivals * departures * ports
-        return columns * first + 8.0 * delays * speeds * rest
+        matched = 5 * length * np.log2(length) if length else 8 * delays * pilots
+        last = departures * ports * elements + arrivals * departures * ports
+        return speeds * (ports * elements * (8.0 * pilots * symbols + matched) + 8.0 * delays * last)
 
     def filtered(self, signal) -> Spectrum:
         """Spectrum of a signal (K, N, N_R, N_T), its cells normalized to unit noise gain."""
-        symbols, ports, elements = signal.shape[1:]
+        pilots, _, ports, elements = signal.shape
         delays, speeds, _, departures = self.shape
-        data = self.delay.apply(signal)
         speed, arrival, departure = (c.vectors.conj() for c in self.cells[1:])
-        speed = speed * C64(1 / np.sqrt(len(signal)))
+        # Speeds first: their cells are fewer than the symbols, and everything after is the smaller.
+        speed = speed * C64(1 / np.sqrt(pilots))
+        partial = self.delay.apply(np.matmul(speed, signal.reshape(*signal.shape[:2], -1)))
         out = np.empty(self.shape, C64)
-        count = max(BLOCK // (symbols * ports * elements), 1)
+        count = max(BLOCK // (speeds * ports * departures), 1)
         for start in range(0, delays, count):
-            part = data[start : start + count].reshape(-1, symbols, ports * elements)
-            part = np.matmul(speed, part).reshape(-1, elements) @ departure.T
+            part = partial[start : start + count].reshape(-1, elements) @ departure.T
             np.matmul(arrival, part.reshape(-1, speeds, ports, departures), out=out[start : start + count])
-        return Spectrum(data, out, np.empty_like(out))
+        return Spectrum(partial.reshape(delays, speeds, ports, elements), out, self._factors(None, None))
 
     def without(self, filtered: Spectrum, blocks: Blocks, gain) -> Spectrum:
-        """The spectrum with given paths taken out of its cells; the result of an earlier call is written over."""
-        frequency, time, receive, transmit = (mode[:, 0] for mode in blocks[0])
-        scale = gain[:, None] / np.sqrt(frequency.shape[1])
-        first = self.delay.apply((frequency * scale).T.astype(C64)).T
-        speed, arrival, departure = (
-            (v @ c.vectors.conj().T).astype(C64) for v, c in zip((time, receive, transmit), self.cells[1:], strict=True)
-        )
-        left = (first[:, :, None] * speed[:, None]).reshape(len(gain), -1)
-        right = (arrival[:, :, None] * departure[:, None]).reshape(len(gain), -1)
-        rows = filtered.cells.reshape(left.shape[1], -1)
-        subtracted(rows, left, right, filtered.scratch.reshape(rows.shape))
-        return Spectrum(filtered.delays, filtered.scratch, filtered.cells)
+        """The spectrum with given paths taken out of its cells."""
+        return replace(filtered, known=self._factors([mode[:, 0] for mode in blocks[0]], gain))
 
-    def candidates(self, filtered: Spectrum, effort: Effort, variance: float, scale: Float | None = None) -> Geometry:
-        """The best points of a residual spectrum, each in a lobe of its own, best first; ``scale`` (L,) gives all
-        delays the same noise.
+    def _factors(self, modes, gain) -> tuple[Single, Single, Single, Single]:
+        """Responses of the dictionaries to paths, in the layout of :class:`Spectrum`."""
+        if modes is None:
+            return tuple(np.empty((0, size), C64) for size in self.shape)
+        frequency, *rest = modes
+        scale = gain[:, None] / np.sqrt(frequency.shape[1])
+        first = np.ascontiguousarray(self.delay.apply((frequency * scale).T.astype(C64)).T)
+        others = (
+            (v @ c.vectors.conj().T).astype(C64) for v, c in zip(rest, self.cells[1:], strict=True)
+        )
+        return first, *others
+
+    def candidates(
+        self, filtered: Spectrum, effort: Effort, variance: float, interest: float = np.inf, scale: Float | None = None
+    ) -> Geometry:
+        """The best points of a residual spectrum, each in a lobe of its own, best first: those that may reach an energy of
+        ``interest`` or be the best; ``scale`` (L,) gives all delays the same noise.
         """
-        values = filtered.cells if scale is None else filtered.cells * scale[:, None, None, None]
-        flat = values.reshape(-1)
+        equal = np.ones(self.shape[0], np.float32) if scale is None else scale
+        first, *middle, departure = filtered.known
+        rows = np.stack([departure, 1j * departure], axis=1).astype(C64).view(np.float32)
+        strongest = np.max(np.abs(departure) ** 2, axis=1, initial=1e-30)
         index, power = np.empty(MOST, np.int64), np.empty(MOST, np.float32)
-        count, least = scan(flat.view(np.float32), np.float32(NOISE_CELL * variance), np.float32(0.1), index, power)
+        count, least = scan(
+            filtered.cells.view(np.float32),
+            first,
+            *middle,
+            rows,
+            (TRIFLE * variance / strongest).astype(np.float32),
+            equal,
+            np.float32(NOISE_CELL * variance),
+            np.float32(0.1),
+            index,
+            power,
+        )
         index = index[:count][power[:count] > least]
         if not len(index):
             return Geometry.empty()
-        cells = np.stack(np.unravel_index(index, self.shape))
+        high = np.stack(np.unravel_index(index, self.shape))
         energy, best = np.empty(len(index), np.float32), np.empty((4, len(index)), np.int64)
         tables = [table for c in self.cells for table in (c.neighbors, c.shifts)]
-        screen(flat, np.array(self.shape), cells, *tables, energy, best)
+        screen(filtered.cells, *filtered.known, high, *tables, energy, best)
+        energy *= equal[high[0]] ** 2
         order = largest(energy, 12 * effort.candidates)
-        delay, speed, arrival, departure = cells[:, order]
-        order = order[self.lobes.first_of_each(delay, arrival, departure, speed, effort.candidates)]
-        (delay, speed, arrival, departure), points = cells[:, order], best[:, order]
-        return Geometry(
-            self.delay.delays[delay] + self.offsets[0][points[0]],
-            displaced(self.arrivals[arrival], self.offsets[2][arrival, points[2]]),
-            displaced(self.departures[departure], self.offsets[3][departure, points[3]]),
-            self.speeds[speed] + self.offsets[1][points[1]],
+        order = order[energy[order] > PROMISING * min(interest, energy[order[0]])]
+        (delay, speed, arrival, departure), near = high[:, order], best[:, order]
+        points = Geometry(
+            self.delay.delays[delay] + self.offsets[0][near[0]],
+            displaced(self.arrivals[arrival], self.offsets[2][arrival, near[2]]),
+            displaced(self.departures[departure], self.offsets[3][departure, near[3]]),
+            self.speeds[speed] + self.offsets[1][near[1]],
         )
+        return points.take(self.lobes.first_of_points(points, arrival, departure, effort.candidates))
 
-    def projector(self, data, filtered: Spectrum, lin, points: Geometry) -> ResidualProjector | CellProjector:
+    def projector(self, data, filtered: Spectrum, lin, points: Geometry) -> ResidualProjector | MatchedProjector:
         """What candidates are polished on."""
         if data.model.subbands > 1:
             return ResidualProjector(data, lin)
-        return CellProjector(data.model, self.delay, filtered.delays, points.delay, known=lin)
+        return MatchedProjector(data.model, self.delay, self.cells[1].vectors, filtered.partial, points.delay, lin)
 
 
 def spacing(grid: Float) -> float:

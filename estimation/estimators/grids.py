@@ -179,13 +179,28 @@ class DelayGrid:
             out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
         return out.reshape(-1, *signal.shape[1:])
 
+    def around(self, delay: Float):
+        """First (P,) of the neighboring cells that ``delay`` (P,) lies between."""
+        count = min(NEIGHBORS, len(self.delays))
+        return np.clip(np.searchsorted(self.delays, delay) - count // 2, 0, len(self.delays) - count)
+
     @cached_property
-    def neighborhood(self) -> Complex:
-        """(n, K) pseudo-inverse of the delay vectors of the first n cells: what combines neighboring cells into a
-        delay vector between them, up to the phases that move it to other cells.
+    def _neighbors(self) -> tuple[Complex, Complex]:
+        """The delay vectors (n, K) of the first n cells and their pseudo-inverse (K, n); the same up to phases
+        everywhere.
         """
         cells = self.delays[:NEIGHBORS] - self.delays[0]
-        return np.linalg.pinv(np.exp(-2j * np.pi * np.outer(self.tones, cells)))
+        vectors = np.exp(-2j * np.pi * np.outer(cells, self.tones))
+        return vectors, np.linalg.pinv(vectors)
+
+    def combination(self, vectors: Complex, first):
+        """Weights (P, c, n) with which the cells from ``first`` (P,) on give delay vectors (P, c, K) between them,
+        and what they give in fact (P, c, K).
+        """
+        cells, inverse = self._neighbors
+        shift = np.exp(2j * np.pi * self.delays[first][:, None] * self.tones)[:, None]
+        weights = (vectors * shift) @ inverse
+        return weights, weights @ cells * shift.conj()
 
     def equalizer(self, frequencies: Float, weight) -> Float:
         """(L,) factors that give every cell the noise gain of white noise, ``sqrt(K / (v^H C^-1 v))``."""

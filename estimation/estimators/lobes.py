@@ -28,16 +28,21 @@ class LobeMap:
     Attributes
     ----------
     delays, speeds : (L,), (V,) grids in metric units
+    scales : (2,) metric units per second of delay and per m/s
     arrivals, departures : (A, A), (D, D) squared distances between direction cells
     arrival_metric, departure_metric : (A, 2, 2), (D, 2, 2) normalized information on the tangents at each cell
+    arrival_roots, departure_roots : (A, 3, 2), (D, 3, 2) their roots: from differences of unit vectors to metric units
     """
 
     delays: Float
     speeds: Float
+    scales: Float
     arrivals: Float
     departures: Float
     arrival_metric: Float
     departure_metric: Float
+    arrival_roots: Float
+    departure_roots: Float
 
     @staticmethod
     def build(model: SignalModel, delays: Float, arrivals: Float, departures: Float, speeds: Float) -> LobeMap:
@@ -63,7 +68,15 @@ class LobeMap:
         arrival = distances(arrivals, slice(1, 3), "arrival")
         departure = distances(departures, slice(3, 5), "departure")
         scale = np.sqrt(np.maximum(np.diag(scales[0]), 0))
-        return LobeMap(delays * scale[0], speeds * scale[5], arrival, departure, metrics[0], metrics[1])
+        return LobeMap(
+            delays * scale[0],
+            speeds * scale[5],
+            scale[[0, 5]],
+            arrival,
+            departure,
+            *metrics,
+            *(roots(m, grid) for m, grid in zip(metrics, (arrivals, departures), strict=True)),
+        )
 
     def first_of_each(self, delay, arrival, departure, speed, count: int):
         """Positions of up to ``count`` points, in the given order, each in a lobe of its own; arguments are
@@ -80,6 +93,34 @@ class LobeMap:
             left &= squared > RADIUS**2
             left[first] = False
         return np.array(kept, int)
+
+
+    def first_of_points(self, points: Geometry, arrival, departure, count: int):
+        """The same for ``points`` (P,) between the grid's, given the direction cells they are next to."""
+        tau, rate = points.delay * self.scales[0], points.speed * self.scales[1]
+        left = np.ones(len(tau), bool)
+        kept: list[int] = []
+        while len(kept) < count and left.any():
+            first = int(np.argmax(left))
+            kept.append(first)
+            squared = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
+            for vectors, root, cell in (
+                (points.arrival, self.arrival_roots, arrival),
+                (points.departure, self.departure_roots, departure),
+            ):
+                offset = (vectors - vectors[first]) @ root[cell[first]]
+                # Seen along the tangents the far side of the sphere would seem near.
+                far = vectors @ vectors[first] < 0
+                squared += np.where(far, np.inf, np.sum(offset**2, axis=1))
+            left &= squared > RADIUS**2
+            left[first] = False
+        return np.array(kept, int)
+
+
+def roots(metrics: Float, grid: Float) -> Float:
+    """Roots (C, 3, 2) of metrics (C, 2, 2) on the tangents at unit vectors (C, 3)."""
+    values, axes = np.linalg.eigh(metrics)
+    return np.einsum("cbi,cbk,ck->cik", tangents(grid), axes, np.sqrt(np.maximum(values, 0)))
 
 
 def great_circle(start: Float, end: Float) -> Float:

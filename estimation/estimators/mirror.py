@@ -62,9 +62,16 @@ class MirroredSearch:
         time = time.reshape(len(gain), -1, self.ports)[:, ::-1].reshape(len(gain), 1, -1)
         return self.search.without(filtered, [[frequency[:, :, ::-1], time, transmit]], gain.conj())
 
-    def candidates(self, filtered, effort: Effort, variance: float = 0.0, scale: Float | None = None) -> Geometry:
+    def candidates(
+        self,
+        filtered,
+        effort: Effort,
+        variance: float = 0.0,
+        interest: float = np.inf,
+        scale: Float | None = None,
+    ) -> Geometry:
         """The best mutually incoherent grid points in a filtered residual, strongest first."""
-        found = self.search.candidates(filtered, effort, variance, scale)
+        found = self.search.candidates(filtered, effort, variance, interest, scale)
         return replace(found, arrival=found.departure, departure=found.arrival)
 
     def projector(self, data, filtered, lin, points: Geometry) -> ResidualProjector:

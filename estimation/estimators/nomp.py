@@ -222,10 +222,10 @@ class Nomp:
         if model.weight is not None:
             # Cells of delays with much dense power carry less signal: equal noise in every cell again.
             scale = self._search.delay.equalizer(model.waveform.frequencies, model.weight)
-        points = self._search.candidates(residual, effort, variance, scale)
+        interest = self.level * variance
+        points = self._search.candidates(residual, effort, variance, interest, scale)
         if not len(points):
             return points, np.zeros(0)
-        interest = self.level * variance
         points, energies = separate_fit(self._search.projector(data, residual, lin, points), points, variance, interest)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
         if isinstance(self._search, StagedSearch) and len(significant):

@@ -14,7 +14,7 @@ from ..signal.algebra import Blocks, gram, gram_diagonal, project_rest
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .grids import NEIGHBORS, DelayGrid
+from .grids import DelayGrid
 from .projector import Projector
 from .refine import LARGEST_STEP, Linearization, bounded, metric
 
@@ -24,24 +24,13 @@ PROMISE = 2.5
 
 class CellProjector:
     """Inner products with a filtered residual (L, rest) for candidates that stay near the delay cell they
-    started from; paths ``known`` to be in it still are taken out by their Gram matrix.
+    started from.
     """
 
-    def __init__(
-        self,
-        model: SignalModel,
-        grid: DelayGrid,
-        filtered,
-        delay: Float,
-        gather=None,
-        known: Linearization | None = None,
-    ) -> None:
-        self.model, self.grid, self.known = model, grid, known
+    def __init__(self, model: SignalModel, grid: DelayGrid, filtered, delay: Float, gather=None) -> None:
+        self.model, self.grid = model, grid
         self.filtered = filtered.reshape(len(filtered), -1)
-        count = min(NEIGHBORS, len(grid.delays))
-        nearest = np.searchsorted(grid.delays, delay)
-        self.first = np.clip(nearest - count // 2, 0, len(grid.delays) - count)
-        self.count = count
+        self.first = grid.around(delay)
         # The search may have put symbols in an order of its own.
         self.restore = None if gather is None else np.argsort(gather)
 
@@ -51,18 +40,47 @@ class CellProjector:
         if self.restore is not None:
             shape = partial.shape
             partial = partial.reshape(*shape[:2], len(self.restore), -1)[:, :, self.restore].reshape(shape)
-        return less_known(self.model, project_rest(self.model, partial, blocks[0]), blocks, self.known)
+        return project_rest(self.model, partial, blocks[0])
 
     def at_delay(self, vectors, index):
         """The residual matched to delay vectors (P, c, K): (P, c, rest)."""
         first = self.first[index]
-        shift = np.exp(2j * np.pi * self.grid.delays[first][:, None] * self.grid.tones)
-        weights = (vectors * shift[:, None]) @ self.grid.neighborhood.T
-        weights = weights.conj().astype(np.complex64)
-        out = np.empty((*weights.shape[:2], self.filtered.shape[1]), np.complex64)
-        for own, start, row in zip(weights, first, out, strict=True):
-            np.matmul(own, self.filtered[start : start + self.count], out=row)
-        return out
+        return combined_rows(self.filtered, self.grid.combination(vectors, first)[0], first)
+
+
+class MatchedProjector:
+    """The same from data matched to delay and speed cells (L, V, rest); paths ``known`` to be in them still are taken
+    out by what the cells see of them.
+    """
+
+    def __init__(
+        self, model: SignalModel, grid: DelayGrid, speeds, partial, delay: Float, known: Linearization | None
+    ) -> None:
+        self.model, self.grid, self.known = model, grid, known
+        self.partial = partial.reshape(len(partial), -1)
+        self.speeds, self.inverse = speeds, np.linalg.pinv(speeds, rcond=1e-4)
+        self.first = grid.around(delay)
+
+    def inner(self, geometry: Geometry, blocks: Blocks, index):
+        """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
+        first = self.first[index]
+        frequency, time, *rest = blocks[0]
+        weights, frequency = self.grid.combination(frequency, first)
+        rates = time @ self.inverse
+        partial = combined_rows(self.partial, weights * np.sqrt(frequency.shape[-1]), first)
+        inner = project_rest(self.model, partial, [weights, rates, *rest])
+        return less_known(self.model, inner, [[frequency, rates @ self.speeds, *rest]], self.known)
+
+
+def combined_rows(cells, weights, first):
+    """Combinations (P, c, rest) of the rows of ``cells`` (L, rest) from ``first`` (P,) on with conjugated ``weights``
+    (P, c, n).
+    """
+    weights = weights.conj().astype(np.complex64)
+    out = np.empty((*weights.shape[:2], cells.shape[1]), np.complex64)
+    for own, start, row in zip(weights, first, out, strict=True):
+        np.matmul(own, cells[start : start + own.shape[1]], out=row)
+    return out
 
 
 class ResidualProjector:
@@ -86,7 +104,7 @@ def less_known(model: SignalModel, inner, blocks: Blocks, known: Linearization |
 
 
 def separate_fit(
-    data: CellProjector | ResidualProjector,
+    data: CellProjector | MatchedProjector | ResidualProjector,
     geometry: Geometry,
     noise_variance: float,
     interest: float = 0.0,

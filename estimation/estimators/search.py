@@ -183,7 +183,14 @@ class StagedSearch:
         rows = filtered.reshape(len(filtered), -1)
         return subtracted(rows, left.T, right, np.empty_like(rows)).reshape(filtered.shape)
 
-    def candidates(self, filtered, effort: Effort, variance: float = 0.0, scale: Float | None = None) -> Geometry:
+    def candidates(
+        self,
+        filtered,
+        effort: Effort,
+        variance: float = 0.0,
+        interest: float = np.inf,
+        scale: Float | None = None,
+    ) -> Geometry:
         """The best mutually incoherent grid points in a filtered residual, strongest first; ``scale`` (L,) gives all
         delays the same noise.
         """
