@@ -11,26 +11,30 @@ judged by its neighborhood: along each mode, the best of a few points between th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..signal.algebra import Blocks
+from ..signal.arrays import Complex
 from ..signal.directions import Float, displaced
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 from .cells import Cells, Single, line_points, ring
+from .folding import Folding, Matrix, joined, product, product_right
 from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import scan, screen
 from .lobes import LobeMap
 from .polish import MatchedProjector, ResidualProjector
+from .pool import Pool
+from .projector import Projector
 from .search import C64, Effort, largest
 
-NOISE_CELL = 7.0
+NOISE_CELL = 7.5
 """Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best
 cell, but for rare scalloping.
 """
-TRIFLE = 0.01
+TRIFLE = 0.03
 """A known path stays in rows of the spectrum where it has less than this share of the noise variance."""
 PROMISING = 0.75
 """Cells whose neighborhood has less than this share of an energy do not reach it when refined (1 in 300 do)."""
@@ -40,15 +44,24 @@ BLOCK = 1 << 17
 """Cells worked on at a time: one megabyte, so that intermediate results stay near the core."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spectrum:
-    """A filtered signal: ``partial`` (L, V, N_R, N_T) matched to delays and speeds, ``cells`` (L, V, A, D) to everything.
-
-    ``known`` are the factors (P, L), (P, V), (P, A) and (P, D) of paths that are to be taken out of the cells.
+class Matched:
+    """Planes of a filtered signal: ``partial`` (2, L, V, N_R, N_T) matched to delays and speeds (folded), ``cells`` (2, L,
+    V, A, D) to everything.
     """
 
-    partial: Single
-    cells: Single
+    def __init__(self, pool: Pool, shape: tuple[int, ...], samples: tuple[int, ...]) -> None:
+        delays, speeds, _, _ = shape
+        pilots, _, *arrays = samples
+        self.first = pool.lend(self, (2, pilots, speeds, int(np.prod(arrays))))
+        self.partial = pool.lend(self, (2, delays, speeds, *arrays))
+        self.cells = pool.lend(self, (2, *shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """A filtered signal less known paths: the factors (P, L), (P, V), (P, A) and (P, D) of those in its cells."""
+
+    matched: Matched
     known: tuple[Single, Single, Single, Single]
 
 
@@ -61,6 +74,10 @@ class DenseSearch:
     delay, speeds, arrivals, departures : cells
     cells : the same in the order of the spectrum's axes, with neighborhoods
     offsets : the points about a cell: delays (J,) [s], speeds (J,) [m/s], tangent steps (A, J, 2), (D, J, 2) [rad]
+    folding : coordinates of the data
+    filters : matched filters of the four modes in those coordinates, (L, K), (V, N), (A, N_R), (D, N_T); none for delays
+        that are transformed
+    rates : (V, N) speed vectors of the cells and their pseudo-inverse (N, V)
     lobes : tells which grid points belong together
     full : effort of a pass; there is no cheaper one
     """
@@ -71,8 +88,12 @@ class DenseSearch:
     departures: Float
     cells: tuple[Cells, Cells, Cells, Cells]
     offsets: tuple[Float, Float, Float, Float]
+    folding: Folding
+    filters: tuple[Matrix | None, Matrix, Matrix, Matrix]
+    rates: tuple[Complex, Complex]
     lobes: LobeMap
     full: Effort
+    pool: Pool = field(default_factory=Pool, repr=False)
 
     @staticmethod
     def build(
@@ -110,6 +131,8 @@ class DenseSearch:
                 vectors, around = vectors.conj(), around.conj()
             cells.append(Cells.build(vectors, around.reshape(*step.shape[:2], -1), 8))
             steps.append(step)
+        folding = Folding.build(model)
+        filters = [axis.steering(c.vectors).conj() for axis, c in zip(folding.axes, cells, strict=True)]
         return DenseSearch(
             delay,
             speeds,
@@ -117,6 +140,9 @@ class DenseSearch:
             departures,
             tuple(cells),
             (*lines, *steps),
+            folding,
+            (None if delay.matrix is None else filters[0], *filters[1:]),
+            (cells[1].vectors, np.linalg.pinv(cells[1].vectors, rcond=1e-4)),
             lobes,
             Effort(None, 0, 0, candidates),
         )
@@ -135,25 +161,33 @@ class DenseSearch:
         """Floating-point operations of :meth:`filtered`: the least that one search costs."""
         pilots, symbols, ports, elements = model.shape
         delays, speeds, arrivals, departures = self.shape
+        costs = [8 if f is None or np.iscomplexobj(f) else 4 for f in self.filters]
         length = self.delay.length
-        matched = 5 * length * np.log2(length) if length else 8 * delays * pilots
-        last = departures * ports * elements + arrivals * departures * ports
-        return speeds * (ports * elements * (8.0 * pilots * symbols + matched) + 8.0 * delays * last)
+        matched = 5 * length * np.log2(length) if length else costs[0] * delays * pilots
+        first = ports * elements * (costs[1] * pilots * symbols + matched)
+        last = delays * departures * (costs[3] * ports * elements + costs[2] * arrivals * ports)
+        return float(speeds * (first + last))
 
-    def filtered(self, signal) -> Spectrum:
-        """Spectrum of a signal (K, N, N_R, N_T), its cells normalized to unit noise gain."""
-        pilots, _, ports, elements = signal.shape
+    def filtered(self, data: Projector) -> Spectrum:
+        """Spectrum of a signal, its cells normalized to unit noise gain."""
+        _, pilots, symbols, ports, elements = data.planes.shape
         delays, speeds, _, departures = self.shape
-        speed, arrival, departure = (c.vectors.conj() for c in self.cells[1:])
+        delay, speed, arrival, departure = self.filters
+        matched = Matched(self.pool, self.shape, (pilots, symbols, ports, elements))
         # Speeds first: their cells are fewer than the symbols, and everything after is the smaller.
-        speed = speed * C64(1 / np.sqrt(pilots))
-        partial = self.delay.apply(np.matmul(speed, signal.reshape(*signal.shape[:2], -1)))
-        out = np.empty(self.shape, C64)
+        first = product(speed, data.planes.reshape(2, pilots, symbols, -1), matched.first).reshape(2, pilots, -1)
+        partial = matched.partial.reshape(2, delays, -1)
+        if delay is None:
+            rows = self.delay.apply(self.folding.axes[0].unfold_rows(joined(first))) * C64(1 / np.sqrt(pilots))
+            partial[0], partial[1] = rows.real, rows.imag
+        else:
+            product(delay, first, partial)
         count = max(BLOCK // (speeds * ports * departures), 1)
         for start in range(0, delays, count):
-            part = partial[start : start + count].reshape(-1, elements) @ departure.T
-            np.matmul(arrival, part.reshape(-1, speeds, ports, departures), out=out[start : start + count])
-        return Spectrum(partial.reshape(delays, speeds, ports, elements), out, self._factors(None, None))
+            block = slice(start, start + count)
+            part = product_right(partial[:, block].reshape(2, -1, elements), departure)
+            product(arrival, part.reshape(2, -1, speeds, ports, departures), matched.cells[:, block])
+        return Spectrum(matched, self._factors(None, None))
 
     def without(self, filtered: Spectrum, blocks: Blocks, gain) -> Spectrum:
         """The spectrum with given paths taken out of its cells."""
@@ -165,10 +199,11 @@ class DenseSearch:
             return tuple(np.empty((0, size), C64) for size in self.shape)
         frequency, *rest = modes
         scale = gain[:, None] / np.sqrt(frequency.shape[1])
-        first = np.ascontiguousarray(self.delay.apply((frequency * scale).T.astype(C64)).T)
-        others = (
-            (v @ c.vectors.conj().T).astype(C64) for v, c in zip(rest, self.cells[1:], strict=True)
-        )
+        if self.filters[0] is None:
+            first = np.ascontiguousarray(self.delay.apply((frequency * scale).T.astype(C64)).T)
+        else:
+            first = (frequency * gain[:, None] @ self.cells[0].vectors.conj().T).astype(C64)
+        others = ((v @ c.vectors.conj().T).astype(C64) for v, c in zip(rest, self.cells[1:], strict=True))
         return first, *others
 
     def candidates(
@@ -179,14 +214,13 @@ class DenseSearch:
         """
         equal = np.ones(self.shape[0], np.float32) if scale is None else scale
         first, *middle, departure = filtered.known
-        rows = np.stack([departure, 1j * departure], axis=1).astype(C64).view(np.float32)
         strongest = np.max(np.abs(departure) ** 2, axis=1, initial=1e-30)
         index, power = np.empty(MOST, np.int64), np.empty(MOST, np.float32)
         count, least = scan(
-            filtered.cells.view(np.float32),
+            filtered.matched.cells,
             first,
             *middle,
-            rows,
+            np.stack([departure.real, departure.imag]),
             (TRIFLE * variance / strongest).astype(np.float32),
             equal,
             np.float32(NOISE_CELL * variance),
@@ -200,7 +234,8 @@ class DenseSearch:
         high = np.stack(np.unravel_index(index, self.shape))
         energy, best = np.empty(len(index), np.float32), np.empty((4, len(index)), np.int64)
         tables = [table for c in self.cells for table in (c.neighbors, c.shifts)]
-        screen(filtered.cells, *filtered.known, high, *tables, energy, best)
+        known = [np.stack([f.T.real, f.T.imag]) for f in filtered.known]
+        screen(filtered.matched.cells, *known, high, *tables, energy, best)
         energy *= equal[high[0]] ** 2
         order = largest(energy, 12 * effort.candidates)
         order = order[energy[order] > PROMISING * min(interest, energy[order[0]])]
@@ -217,7 +252,9 @@ class DenseSearch:
         """What candidates are polished on."""
         if data.model.subbands > 1:
             return ResidualProjector(data, lin)
-        return MatchedProjector(data.model, self.delay, self.cells[1].vectors, filtered.partial, points.delay, lin)
+        return MatchedProjector(
+            data.model, self.folding, self.delay, self.rates, filtered.matched.partial, points.delay, lin
+        )
 
 
 def spacing(grid: Float) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import eval_hermitenorm
+from scipy.special import chndtr, eval_hermitenorm
 from scipy.stats import ncx2
 
 from ..errors import ModelError
@@ -119,5 +119,5 @@ def fitted_excess(snr, threshold: float, parameters: int = 6):
     threshold u the luck of having been detected.
     """
     size, shift = 2 + parameters, 2 * np.asarray(snr, float)
-    above = [ncx2.sf(2 * threshold, size + more, shift) for more in (0, 2, 4)]
+    above = [1 - chndtr(2 * threshold, size + more, shift) for more in (0, 2, 4)]
     return 0.5 * (size * above[1] + shift * above[2]) / np.maximum(above[0], 1e-300) - 0.5 * shift

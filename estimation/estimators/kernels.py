@@ -6,6 +6,7 @@ import numpy as np
 
 from ..jit import compiled
 
+
 @compiled
 def add_power(values, out):
     """Add ``|value|^2`` to ``out`` (rows, V); ``values`` (rows, 2V) hold real, then imaginary parts."""
@@ -50,19 +51,107 @@ def derotated(symbols, order, phase, cells, speeds, out):
 
 
 @compiled
+def folded(signal, pilots, symbols, ports, elements, mirrored, out):
+    """Planes ``out`` (2, K, N, R, T) of a signal (K, N, 2 R T; real and imaginary parts in turn) in the coordinates of
+    :mod:`~.folding`.
+
+    Each axis is a triple: first samples of its pairs, second ones, samples alone. ``mirrored`` says that the last
+    axis pairs its samples from the ends inwards.
+    """
+    # A pair of pilots by a pair of symbols at a time: four rows that stay in the cache.
+    size = signal.shape[2] // 2
+    re, im = np.empty((4, size), np.float32), np.empty((4, size), np.float32)
+    pairs, others, width = len(pilots[0]), len(symbols[0]), out.shape[4]
+    one, other, lone = ports
+    halves = len(one)
+    for k in range(pairs + len(pilots[2])):
+        two_k = k < pairs
+        k1 = pilots[0][k] if two_k else pilots[2][k - pairs]
+        k2 = pilots[1][k] if two_k else k1
+        for n in range(others + len(symbols[2])):
+            two_n = n < others
+            n1 = symbols[0][n] if two_n else symbols[2][n - others]
+            n2 = symbols[1][n] if two_n else n1
+            for r in range(4):
+                if (r < 2 or two_k) and (r % 2 == 0 or two_n):
+                    row = signal[k1 if r < 2 else k2, n1 if r % 2 == 0 else n2]
+                    a, b = re[r], im[r]
+                    for i in range(size):
+                        a[i] = row[2 * i]
+                        b[i] = row[2 * i + 1]
+            if two_k:
+                _fold_rows(re, im, 0, 2)
+                if two_n:
+                    _fold_rows(re, im, 1, 3)
+            if two_n:
+                _fold_rows(re, im, 0, 1)
+                if two_k:
+                    _fold_rows(re, im, 2, 3)
+            for r in range(4):
+                if (r < 2 or two_k) and (r % 2 == 0 or two_n):
+                    i = k if r < 2 and two_k else k + pairs
+                    j = n if r % 2 == 0 and two_n else n + others
+                    a, b = re[r].reshape((-1, width)), im[r].reshape((-1, width))
+                    real, imag = out[0, i, j], out[1, i, j]
+                    for m in range(halves):
+                        _fold_rows(a, b, one[m], other[m])
+                    for m in range(len(a)):
+                        port = one[m] if m < halves else other[m - halves] if m < 2 * halves else lone[m - 2 * halves]
+                        if mirrored:
+                            _fold_mirrored(a[port], b[port], real[m], imag[m])
+                        else:
+                            _fold_tabled(a[port], b[port], elements, real[m], imag[m])
+
+
+@compiled
+def _fold_rows(re, im, i, j):
+    half = np.float32(0.70710678)
+    a, b, c, d = re[i], im[i], re[j], im[j]
+    for m in range(len(a)):
+        x, y = a[m] - c[m], b[m] - d[m]
+        a[m] = half * (a[m] + c[m])
+        b[m] = half * (b[m] + d[m])
+        c[m] = half * y
+        d[m] = -half * x
+
+
+@compiled
+def _fold_mirrored(x, y, u, v):
+    half, last, count = np.float32(0.70710678), len(x) - 1, len(x) // 2
+    for t in range(count):
+        u[t] = half * (x[t] + x[last - t])
+        v[t] = half * (y[t] + y[last - t])
+    for t in range(count):
+        u[t + count] = half * (y[t] - y[last - t])
+        v[t + count] = half * (x[last - t] - x[t])
+    if len(x) % 2:
+        u[last], v[last] = x[count], y[count]
+
+
+@compiled
+def _fold_tabled(x, y, elements, u, v):
+    half, count = np.float32(0.70710678), len(elements[0])
+    for t in range(count):
+        i, j = elements[0][t], elements[1][t]
+        u[t], v[t] = half * (x[i] + x[j]), half * (y[i] + y[j])
+        u[t + count], v[t + count] = half * (y[i] - y[j]), half * (x[j] - x[i])
+    for t in range(len(elements[2])):
+        u[t + 2 * count], v[t + 2 * count] = x[elements[2][t]], y[elements[2][t]]
+
+
+@compiled
 def scan(cells, first, speed, arrival, departure, trifle, scale, floor, share, index, power):
     """Positions and ``|x|^2`` of the entries of a spectrum less its known paths that stand above ``floor`` and
     ``share`` of the peak so far; returns their number and the level that the last of them had to pass.
 
-    ``cells`` (L, V, A, 2D) hold real and imaginary parts in turn. The paths are outer products of ``first`` (P, L),
-    ``speed`` (P, V), ``arrival`` (P, A) and ``departure`` (P, 2, 2D), which has each row and j times the row; in rows
-    where the energy of the first three falls below ``trifle`` (P,) a path is left. ``scale`` (L,) multiplies all
-    values. A full list raises the level to twice its own and goes on.
+    ``cells`` are planes (2, L, V, A, D). The paths are outer products of ``first`` (P, L), ``speed`` (P, V),
+    ``arrival`` (P, A) and ``departure`` planes (2, P, D); in rows where the energy of the first three falls below
+    ``trifle`` (P,) a path is left. ``scale`` (L,) multiplies all values. A full list raises the level to twice its own
+    and goes on.
     """
-    delays, speeds, arrivals, width = cells.shape
-    count_d = width // 2
-    row, values = np.empty(width, np.float32), np.empty(count_d, np.float32)
-    along = np.empty(len(first), np.complex64)
+    _, delays, speeds, arrivals, departures = cells.shape
+    re, im = np.empty(departures, np.float32), np.empty(departures, np.float32)
+    values, along = np.empty(departures, np.float32), np.empty(len(first), np.complex64)
     least, count = floor, 0
     for i in range(delays):
         gain = scale[i] * scale[i]
@@ -70,29 +159,34 @@ def scan(cells, first, speed, arrival, departure, trifle, scale, floor, share, i
             for p in range(len(first)):
                 along[p] = first[p, i] * speed[p, j]
             for k in range(arrivals):
-                source = cells[i, j, k]
-                for d in range(width):
-                    row[d] = source[d]
+                left = 0
                 for p in range(len(first)):
                     c = along[p] * arrival[p, k]
-                    re, im = c.real, c.imag
-                    if re * re + im * im > trifle[p]:
-                        plain, turned = departure[p, 0], departure[p, 1]
-                        for d in range(width):
-                            row[d] -= re * plain[d] + im * turned[d]
-                for d in range(count_d):
-                    re, im = row[2 * d], row[2 * d + 1]
-                    values[d] = gain * (re * re + im * im)
+                    x, y = c.real, c.imag
+                    if x * x + y * y > trifle[p]:
+                        if left == 0:
+                            for d in range(departures):
+                                re[d] = cells[0, i, j, k, d] - (x * departure[0, p, d] - y * departure[1, p, d])
+                                im[d] = cells[1, i, j, k, d] - (x * departure[1, p, d] + y * departure[0, p, d])
+                        else:
+                            for d in range(departures):
+                                re[d] -= x * departure[0, p, d] - y * departure[1, p, d]
+                                im[d] -= x * departure[1, p, d] + y * departure[0, p, d]
+                        left += 1
+                if left == 0:
+                    for d in range(departures):
+                        re[d], im[d] = cells[0, i, j, k, d], cells[1, i, j, k, d]
                 # Counting fits vector registers, finding the largest does not.
                 high = 0
-                for d in range(count_d):
+                for d in range(departures):
+                    values[d] = gain * (re[d] * re[d] + im[d] * im[d])
                     high += values[d] > least
                 if high == 0:
                     continue
-                for d in range(count_d):
+                for d in range(departures):
                     least = max(least, share * values[d])
-                start = ((i * speeds + j) * arrivals + k) * count_d
-                for d in range(count_d):
+                start = ((i * speeds + j) * arrivals + k) * departures
+                for d in range(departures):
                     if values[d] > least:
                         if count == len(index):
                             least *= np.float32(2)
@@ -109,61 +203,89 @@ def scan(cells, first, speed, arrival, departure, trifle, scale, floor, share, i
 
 
 @compiled
-def screen(values, first, speed, arrival, departure, high, n0, w0, n1, w1, n2, w2, n3, w3, energy, best):
+def screen(cells, first, speed, arrival, departure, high, n0, w0, n1, w1, n2, w2, n3, w3, energy, best):
     """Energy that high cells have at the best points about them, and which points those are.
 
     For a single path the spectrum is a product over the four axes, and so are the gains from moving along each;
-    ``values`` (L, V, A, D) less the known paths, whose factors are (P, L), (P, V), (P, A) and (P, D); ``high`` (4, H)
-    the cells; ``n`` (C, n) and ``w`` (C, J, n) neighbors and weights of an axis as in :class:`~.cells.Cells`.
+    ``cells`` planes (2, L, V, A, D) less the known paths, whose factors are planes (2, L, P), (2, V, P), (2, A, P)
+    and (2, D, P); ``high`` (4, H) the cells; ``n`` (C, n) and ``w`` (C, J, n) neighbors and weights of an axis as in
+    :class:`~.cells.Cells`.
     """
-    paths = len(first)
-    near = np.empty(n2.shape[1] + n3.shape[1] + n0.shape[1] + n1.shape[1], np.complex64)
+    paths = first.shape[2]
+    flat = cells.reshape(cells.size)
+    step = np.array([cells[0, 0].size, cells[0, 0, 0].size, cells.shape[4], 1])
+    ends = np.cumsum(np.array([n0.shape[1], n1.shape[1], n2.shape[1], n3.shape[1]]))
+    share, near = np.empty((2, paths), np.float32), np.empty((2, ends[3]), np.float32)
     for h in range(high.shape[1]):
         i, j, k, d = high[0, h], high[1, h], high[2, h], high[3, h]
-        for m in range(n0.shape[1]):
-            near[m] = values[n0[i, m], j, k, d]
+        at = i * step[0] + j * step[1] + k * step[2] + d
+        # All neighbors are fetched before any is looked at: they lie far apart, and waits for memory overlap.
+        _fetch(flat, at - i * step[0], step[0], i, n0, near, 0)
+        _fetch(flat, at - j * step[1], step[1], j, n1, near, ends[0])
+        _fetch(flat, at - k * step[2], step[2], k, n2, near, ends[1])
+        _fetch(flat, at - d, 1, d, n3, near, ends[2])
+        # One axis at a time; the known paths are products of the other three.
         for p in range(paths):
-            c = speed[p, j] * arrival[p, k] * departure[p, d]
-            for m in range(n0.shape[1]):
-                near[m] -= c * first[p, n0[i, m]]
-        # The first neighbor is the cell itself.
-        start = near[0].real * near[0].real + near[0].imag * near[0].imag
-        total = _best_point(near, w0[i], best[0], h)
-        for m in range(n1.shape[1]):
-            near[m] = values[i, n1[j, m], k, d]
+            _keep(share, p, _at(speed, j, p) * _at(arrival, k, p) * _at(departure, d, p))
+        start, peak, best[0, h] = _best_point(near, 0, i, n0, w0, share, first)
+        total = peak
         for p in range(paths):
-            c = first[p, i] * arrival[p, k] * departure[p, d]
-            for m in range(n1.shape[1]):
-                near[m] -= c * speed[p, n1[j, m]]
-        total *= _best_point(near, w1[j], best[1], h) / start
-        for m in range(n2.shape[1]):
-            near[m] = values[i, j, n2[k, m], d]
+            _keep(share, p, _at(first, i, p) * _at(arrival, k, p) * _at(departure, d, p))
+        _, peak, best[1, h] = _best_point(near, ends[0], j, n1, w1, share, speed)
+        total *= peak / start
         for p in range(paths):
-            c = first[p, i] * speed[p, j] * departure[p, d]
-            for m in range(n2.shape[1]):
-                near[m] -= c * arrival[p, n2[k, m]]
-        total *= _best_point(near, w2[k], best[2], h) / start
-        for m in range(n3.shape[1]):
-            near[m] = values[i, j, k, n3[d, m]]
+            _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(departure, d, p))
+        _, peak, best[2, h] = _best_point(near, ends[1], k, n2, w2, share, arrival)
+        total *= peak / start
         for p in range(paths):
-            c = first[p, i] * speed[p, j] * arrival[p, k]
-            for m in range(n3.shape[1]):
-                near[m] -= c * departure[p, n3[d, m]]
-        energy[h] = total * _best_point(near, w3[d], best[3], h) / start
+            _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(arrival, k, p))
+        _, peak, best[3, h] = _best_point(near, ends[2], d, n3, w3, share, departure)
+        energy[h] = total * (peak / start)
 
 
 @compiled
-def _best_point(near, weights, best, h):
-    peak = np.float32(0)
-    for j in range(len(weights)):
-        re = np.float32(0)
-        im = np.float32(0)
-        for k in range(weights.shape[1]):
-            x, w = near[k], weights[j, k]
-            re += x.real * w.real - x.imag * w.imag
-            im += x.real * w.imag + x.imag * w.real
+def _fetch(flat, base, stride, cell, neighbors, near, start):
+    plane = len(flat) // 2
+    for m in range(neighbors.shape[1]):
+        at = base + neighbors[cell, m] * stride
+        near[0, start + m], near[1, start + m] = flat[at], flat[plane + at]
+
+
+@compiled
+def _at(factor, row, path):
+    return complex(factor[0, row, path], factor[1, row, path])
+
+
+@compiled
+def _keep(share, path, value):
+    share[0, path], share[1, path] = value.real, value.imag
+
+
+@compiled
+def _best_point(near, begin, cell, neighbors, weights, share, factor):
+    """Energy at the cell, at the best point along one axis, and the number of that point; ``near`` from ``begin`` on
+    are the neighbors.
+
+    Everything is addressed in place: making a slice would take longer than what is computed from it.
+    """
+    count, paths = neighbors.shape[1], share.shape[1]
+    for m in range(count):
+        row = neighbors[cell, m]
+        re, im = near[0, begin + m], near[1, begin + m]
+        for p in range(paths):
+            re -= share[0, p] * factor[0, row, p] - share[1, p] * factor[1, row, p]
+            im -= share[0, p] * factor[1, row, p] + share[1, p] * factor[0, row, p]
+        near[0, begin + m], near[1, begin + m] = re, im
+    # The first neighbor is the cell itself.
+    own = near[0, begin] * near[0, begin] + near[1, begin] * near[1, begin]
+    peak, best = np.float32(0), 0
+    for j in range(weights.shape[1]):
+        re, im = np.float32(0), np.float32(0)
+        for m in range(count):
+            a, b = weights[cell, j, m].real, weights[cell, j, m].imag
+            re += near[0, begin + m] * a - near[1, begin + m] * b
+            im += near[0, begin + m] * b + near[1, begin + m] * a
         value = re * re + im * im
         if value > peak:
-            peak = value
-            best[h] = j
-    return peak
+            peak, best = value, j
+    return own, peak, best

@@ -94,7 +94,6 @@ class LobeMap:
             left[first] = False
         return np.array(kept, int)
 
-
     def first_of_points(self, points: Geometry, arrival, departure, count: int):
         """The same for ``points`` (P,) between the grid's, given the direction cells they are next to."""
         tau, rate = points.delay * self.scales[0], points.speed * self.scales[1]

@@ -19,6 +19,7 @@ from ..signal.paths import Geometry
 from ..signal.schedule import Schedule
 from .grids import DelayGrid, View
 from .polish import ResidualProjector
+from .projector import Projector
 from .search import Effort, StagedSearch
 
 
@@ -52,9 +53,10 @@ class MirroredSearch:
         """The passes in order."""
         return self.search.efforts
 
-    def filtered(self, signal):
+    def filtered(self, data: Projector):
         """Matched filter of a whitened signal (K, N, M, N_T) over the delay cells."""
-        return self.search.filtered(signal[::-1, ::-1].conj().reshape(len(signal), -1, signal.shape[3]))
+        signal = data.signal
+        return self.search.matched(signal[::-1, ::-1].conj().reshape(len(signal), -1, signal.shape[3]))
 
     def without(self, filtered, blocks: Blocks, gain):
         """The filtered signal less that of given paths (a new array)."""

@@ -122,7 +122,7 @@ class Nomp:
         largest = []
         for _ in range(count):
             data = Projector(self.model, white_noise(self.model.shape, 1.0, rng), self._basis)
-            filtered = self._search.filtered(data.signal)
+            filtered = self._search.filtered(data)
             largest.append(self._candidates(data, filtered, None, 1.0, self._search.full)[1].max(initial=1.0))
         return np.array(largest)
 
@@ -143,7 +143,7 @@ class Nomp:
             if the signal does not fit the model or is not finite.
         """
         white = self.model.whiten(self.model.checked(signal))
-        if not white.any():
+        if not np.vdot(white, white).real:
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
         start = None
         if prior is not None and len(prior):
@@ -170,8 +170,9 @@ class Nomp:
     ) -> tuple[Projector, Linearization | None, Noise]:
         """All passes of the search on a whitened signal."""
         data = Projector(model, model.weighted(white), self._basis)
-        noise = Noise(float(np.vdot(white, data.signal).real), white.size, noise_variance, inflation)
-        filtered = self._search.filtered(data.signal)
+        energy = float(np.vdot(white, data.signal).real)
+        noise = Noise(energy, white.size, noise_variance, inflation)
+        filtered = self._search.filtered(data)
         lin = None
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -181,7 +182,8 @@ class Nomp:
             residual = filtered
             if lin is not None and model.subbands > 1:
                 # A path that squints is not one outer product: take it out of the data and filter again.
-                residual = self._search.filtered(data.signal - signal_of(model, lin.blocks, lin.gain))
+                rest = data.signal - signal_of(model, lin.blocks, lin.gain)
+                residual = self._search.filtered(Projector(model, rest, self._basis))
             elif lin is not None:
                 residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
@@ -263,13 +265,16 @@ class Nomp:
         return found.take(taken), bool(crowded or np.any(statistic + leak > self.level))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
-        """Remove components, weakest first, that are not worth the threshold."""
+        """Remove components that are not worth the threshold, weakest first and all at once that do not overlap."""
         while lin is not None:
             worth = lin.drop / noise.variance(lin)
-            weakest = int(np.argmin(worth))
-            if worth[weakest] >= self.level:
+            low = np.flatnonzero(worth < self.level)
+            if not len(low):
                 return lin
-            rest = np.delete(np.arange(len(worth)), weakest)
+            if len(low) > 1:
+                overlap = coherence(data.model, lin.geometry.take(low))
+                low = low[distinct(overlap, -worth[low], len(low), limit=0.2)]
+            rest = np.delete(np.arange(len(worth)), low)
             lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
         return None
 

@@ -14,6 +14,7 @@ from ..signal.algebra import Blocks, gram, gram_diagonal, project_rest
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .folding import Folding, product, project_planes
 from .grids import DelayGrid
 from .projector import Projector
 from .refine import LARGEST_STEP, Linearization, bounded, metric
@@ -45,20 +46,24 @@ class CellProjector:
     def at_delay(self, vectors, index):
         """The residual matched to delay vectors (P, c, K): (P, c, rest)."""
         first = self.first[index]
-        return combined_rows(self.filtered, self.grid.combination(vectors, first)[0], first)
+        weights = self.grid.combination(vectors, first)[0].conj().astype(np.complex64)
+        out = np.empty((*weights.shape[:2], self.filtered.shape[1]), np.complex64)
+        for own, start, row in zip(weights, first, out, strict=True):
+            np.matmul(own, self.filtered[start : start + own.shape[1]], out=row)
+        return out
 
 
 class MatchedProjector:
-    """The same from data matched to delay and speed cells (L, V, rest); paths ``known`` to be in them still are taken
-    out by what the cells see of them.
+    """The same from folded data matched to delay and speed cells (planes (2, L, V, N_R, N_T)); paths ``known`` to be in
+    them still are taken out by what the cells see of them.
     """
 
     def __init__(
-        self, model: SignalModel, grid: DelayGrid, speeds, partial, delay: Float, known: Linearization | None
+        self, model: SignalModel, folding: Folding, grid: DelayGrid, speeds, partial, delay: Float, known=None
     ) -> None:
-        self.model, self.grid, self.known = model, grid, known
-        self.partial = partial.reshape(len(partial), -1)
-        self.speeds, self.inverse = speeds, np.linalg.pinv(speeds, rcond=1e-4)
+        self.model, self.folding, self.grid, self.known = model, folding, grid, known
+        self.partial = partial.reshape(2, len(grid.delays), -1)
+        self.speeds, self.inverse = speeds
         self.first = grid.around(delay)
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
@@ -67,20 +72,16 @@ class MatchedProjector:
         frequency, time, *rest = blocks[0]
         weights, frequency = self.grid.combination(frequency, first)
         rates = time @ self.inverse
-        partial = combined_rows(self.partial, weights * np.sqrt(frequency.shape[-1]), first)
-        inner = project_rest(self.model, partial, [weights, rates, *rest])
+        # Conjugate-symmetric vectors are real combinations of such.
+        pilots, symbols, *_ = self.folding.axes
+        scaled = np.sqrt(frequency.shape[-1]) * (weights.real if pilots.real else weights.conj())
+        scaled = scaled.astype(np.float32 if pilots.real else np.complex64)
+        partial = np.empty((2, *weights.shape[:2], self.partial.shape[2]), np.float32)
+        for p, start in enumerate(first):
+            product(scaled[p], self.partial[:, start : start + scaled.shape[2]], partial[:, p])
+        folded = [axis.steering(mode) for axis, mode in zip(self.folding.arrays, rest, strict=True)]
+        inner = project_planes(self.model, partial, [weights, rates.real if symbols.real else rates, *folded])
         return less_known(self.model, inner, [[frequency, rates @ self.speeds, *rest]], self.known)
-
-
-def combined_rows(cells, weights, first):
-    """Combinations (P, c, rest) of the rows of ``cells`` (L, rest) from ``first`` (P,) on with conjugated ``weights``
-    (P, c, n).
-    """
-    weights = weights.conj().astype(np.complex64)
-    out = np.empty((*weights.shape[:2], cells.shape[1]), np.complex64)
-    for own, start, row in zip(weights, first, out, strict=True):
-        np.matmul(own, cells[start : start + own.shape[1]], out=row)
-    return out
 
 
 class ResidualProjector:
@@ -110,11 +111,13 @@ def separate_fit(
     interest: float = 0.0,
     iterations: int = 6,
     tolerance: float = 0.3,
+    doubt: float = 0.8,
 ) -> tuple[Geometry, Float]:
     """Levenberg-Marquardt of P candidates, each alone in the residual.
 
     Candidates whose predicted gain in log-likelihood falls below ``tolerance`` (or is a trifle beside their energy)
-    take it as predicted and stop; so do those out of whose reach are the best and ``interest`` (an energy).
+    take it as predicted and stop; so do those out of whose reach is ``interest`` (an energy; if infinite, the best of
+    them), at first with ``doubt`` about a prediction from afar.
 
     Returns
     -------
@@ -148,7 +151,8 @@ def separate_fit(
         # A strong candidate need not be exact: it goes through the joint fit anyway.
         done = rise <= np.maximum(tolerance * noise_variance, 0.03 * energy[live])
         reach = energy[live] + PROMISE * rise
-        hopeless = reach <= (min(0.5 * energy.max(), interest) if iteration == 0 else min(energy.max(), interest))
+        goal = interest if np.isfinite(interest) else energy.max()
+        hopeless = reach <= (doubt * goal if iteration == 0 else goal)
         # So short a step does as predicted; there is no need to look.
         last = live[done]
         ends = Geometry(*(v[last] for v in vectors)).moved(step[done])

@@ -4,21 +4,24 @@ A refinement evaluates the same few paths many times at slightly different delay
 delay bin the delay vectors span only a handful of dimensions, so the data are compressed once per window, ``Z
 = U^H Y`` (r, rest), and every later inner product works on Z instead of Y; likewise the symbols of a digital
 link, whose vectors depend on the speed alone. Windows are kept for the whole burst: a path that stays within
-one costs nothing more.
+one costs nothing more. All of this happens in folded coordinates (:mod:`~.folding`), where U is real.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from ..signal.algebra import Blocks, project, project_rest
+from ..signal.algebra import Blocks, project
 from ..signal.arrays import Complex
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .folding import Folding, Matrix, Pairs, Planes, product, project_planes
+from .pool import Pool
 
-HALF_WIDTH = 0.5
+HALF_WIDTH = 0.2
 """Half the width of a window in bins."""
 ACCURACY = 1e-5
 """Relative size of what a window's subspace leaves out."""
@@ -27,40 +30,56 @@ C64 = np.complex64
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Orthonormal basis (n, r) of the vectors ``exp(rate * x)`` for x within ``half`` of 0, ``rate`` (n,)."""
+    """Orthonormal basis (n, r) of the vectors ``exp(rate * x)`` for x within ``half`` of 0, ``rate`` (n,), whose samples
+    fold in ``pairs``.
+    """
 
     rate: Complex
     half: float
     vectors: Complex
+    pairs: Pairs
 
     @staticmethod
-    def build(rate: Complex) -> Basis:
+    def build(rate: Complex, pairs: Pairs) -> Basis:
         """Basis over :data:`HALF_WIDTH` bins either way."""
         half = HALF_WIDTH * 2 * np.pi / np.ptp(rate.imag)
         offset = np.linspace(-1, 1, 81) * half
         left, values, _ = np.linalg.svd(np.exp(np.outer(rate, offset)), full_matrices=False)
-        return Basis(rate, half, left[:, : int(np.sum(values > ACCURACY * values[0]))])
+        left = left[:, : int(np.sum(values > ACCURACY * values[0]))]
+        if pairs.real:
+            # Each vector folds to a real one but for a phase of its own.
+            left = left * np.exp(-1j * common_phase(pairs.fold(left.T)))
+        return Basis(rate, half, left, pairs)
 
-    def compressors(self, centers) -> np.typing.NDArray[C64]:
-        """(W, r, n): conjugated bases of the windows about ``centers`` (W,)."""
+    def compressors(self, centers) -> Matrix:
+        """(W, r, n): conjugated bases of the windows about ``centers`` (W,), folded."""
         vectors = np.exp(np.outer(centers, self.rate))
-        return (vectors[:, None] * self.vectors.T).conj().astype(C64)
+        return self.pairs.steering(vectors[:, None] * self.vectors.T).conj()
 
-    def inside(self, offset) -> Complex:
-        """Coordinates (P, 2, r) of the vectors at ``offset`` (P,) from a window's center and of their derivatives.
+    def inside(self, offset) -> Matrix:
+        """Coordinates (P, 2, r) of the vectors at ``offset`` (P,) from a window's center and of their derivatives, real if
+        the samples fold.
 
         d/dx of v(c) o v(x - c) is rate * v: the factor is common to both forms.
         """
         vector = np.exp(self.rate * offset[:, None])
-        return np.stack([vector, self.rate * vector], axis=1) @ self.vectors.conj()
+        inside = np.stack([vector, self.rate * vector], axis=1) @ self.vectors.conj()
+        return inside.real.astype(np.float32) if self.pairs.real else inside.astype(C64)
+
+
+def common_phase(vectors: Complex):
+    """Phases (r,) that vectors (r, n), real but for them, have in common."""
+    return 0.5 * np.angle(np.sum(vectors**2, axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
 class Bases:
     """Bases of the windows of a link: over pilots, and over symbols if it is digital."""
 
+    folding: Folding
     delay: Basis
     time: Basis | None
+    pool: Pool = field(default_factory=Pool, repr=False)
 
     @staticmethod
     def build(model: SignalModel) -> Bases | None:
@@ -68,16 +87,17 @@ class Bases:
         waveform = model.waveform
         if model.subbands > 1 or waveform.subcarriers < 24:
             return None
-        delay = Basis.build(-2j * np.pi * waveform.frequencies)
+        folding = Folding.build(model)
+        delay = Basis.build(-2j * np.pi * waveform.frequencies, folding.axes[0])
         digital = model.schedule.precoders is None and model.schedule.combiners is None
         times = model.schedule.times
         if not digital or len(times) < 12 or np.ptp(times) == 0:
-            return Bases(delay, None)
-        return Bases(delay, Basis.build(2j * np.pi / waveform.wavelength * times))
+            return Bases(folding, delay, None)
+        return Bases(folding, delay, Basis.build(2j * np.pi / waveform.wavelength * times, folding.axes[1]))
 
 
 class Projector:
-    """Projections on one whitened signal; holds its compressed windows (a cache, the only state)."""
+    """Projections on one whitened signal; holds its planes and compressed windows (caches, the only state)."""
 
     def __init__(self, model: SignalModel, signal, bases: Bases | None) -> None:
         self.model, self.signal = model, signal
@@ -85,20 +105,32 @@ class Projector:
         self._delays, self._speeds = np.empty(0), np.empty(0)
         self._windows: list[np.ndarray] = []
 
+    @cached_property
+    def planes(self) -> Planes:
+        """Planes (2, K, N, R, T) of the folded signal."""
+        if self._bases is None:
+            folding = Folding.build(self.model)
+            return folding.planes(self.signal, np.empty(folding.shape, np.float32))
+        folding = self._bases.folding
+        return folding.planes(self.signal, self._bases.pool.lend(self, folding.shape))
+
     def inner(self, geometry: Geometry, blocks: Blocks):
         """``<d_a s_p, y>`` (P, 7) of signatures (``a = 0``) and their six derivatives."""
         bases = self._bases
         if bases is None:
             return project(self.model, self.signal, blocks)
         window = self._window_of(geometry, bases)
-        inside = bases.delay.inside(geometry.delay - self._delays[window]).conj().astype(C64)
-        partial = np.empty((*inside.shape[:2], self._windows[0].shape[1]), C64)
+        inside = bases.delay.inside(geometry.delay - self._delays[window]).conj()
+        partial = np.empty((2, *inside.shape[:2], self._windows[0].shape[2]), np.float32)
         for p, w in enumerate(window):
-            np.matmul(inside[p], self._windows[w], out=partial[p])
-        modes = blocks[0]
-        if bases.time is not None:
-            modes = [modes[0], bases.time.inside(geometry.speed - self._speeds[window]), *modes[2:]]
-        return project_rest(self.model, partial, modes)
+            product(inside[p], self._windows[w], partial[:, p])
+        frequency, time, *rest = blocks[0]
+        if bases.time is None:
+            time = bases.folding.axes[1].steering(time)
+        else:
+            time = bases.time.inside(geometry.speed - self._speeds[window])
+        folded = [axis.steering(mode) for axis, mode in zip(bases.folding.arrays, rest, strict=True)]
+        return project_planes(self.model, partial, [frequency, time, *folded])
 
     def _window_of(self, geometry: Geometry, bases: Bases):
         window = np.empty(len(geometry), int)
@@ -113,11 +145,11 @@ class Projector:
             else:
                 window[p] = int(np.argmin(known))
         if fresh < len(self._delays):
-            matrix = bases.delay.compressors(self._delays[fresh:])
-            block = matrix.reshape(-1, matrix.shape[2]) @ self.signal.reshape(len(self.signal), -1)
-            block = block.reshape(*matrix.shape[:2], -1)
+            planes, matrix = self.planes, bases.delay.compressors(self._delays[fresh:])
+            count, rank, pilots = matrix.shape
+            block = product(matrix.reshape(-1, pilots), planes.reshape(2, pilots, -1))
             if bases.time is not None:
-                matrix = bases.time.compressors(self._speeds[fresh:])
-                block = np.matmul(matrix[:, None], block.reshape(*block.shape[:2], matrix.shape[2], -1))
-            self._windows.extend(block.reshape(*block.shape[:2], -1))
+                matrix = bases.time.compressors(self._speeds[fresh:])[:, None]
+                block = product(matrix, block.reshape(2, count, rank, matrix.shape[-1], -1))
+            self._windows.extend(np.moveaxis(block.reshape(2, count, rank, -1), 1, 0))
         return window

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy as np
 from ..detections import Detections, Flag
 from ..fisher import path_covariances
 from ..signal.algebra import coherence
-from ..signal.paths import tangent_jacobian
+from ..signal.arrays import to_front
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry, tangent_jacobian
 from .detect import fitted_excess
 from .projector import Projector
 from .refine import Linearization, information, linearize
@@ -51,12 +53,23 @@ def unbiased(lin: Linearization, snr, threshold: float, active) -> Linearization
     return replace(lin, gain=lin.gain * np.sqrt(np.clip(1 - share, 0.3, 1.0)))
 
 
+def canonical(model: SignalModel, geometry: Geometry) -> Geometry:
+    """The same paths within the unambiguous delays, and in front of arrays that cannot tell front from back."""
+    return replace(
+        geometry.wrapped(model.waveform.max_delay or np.inf),
+        arrival=to_front(model.receiver, geometry.arrival),
+        departure=to_front(model.transmitter, geometry.departure),
+    )
+
+
 def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
-    """Sorted by rho, with delays reduced to the unambiguous range (and the gains solved for there)."""
+    """Sorted by rho, in canonical form (and the gains solved for there)."""
     model = data.model
     order = np.argsort(lin.drop)[::-1]
-    geometry = lin.geometry.take(order).wrapped(model.waveform.max_delay or np.inf)
-    lin = lin.sorted(order) if np.array_equal(geometry.delay, lin.geometry.delay[order]) else linearize(data, geometry)
+    geometry = lin.geometry.take(order)
+    plain = canonical(model, geometry)
+    changed = any(np.any(getattr(plain, f.name) != getattr(geometry, f.name)) for f in fields(geometry))
+    geometry, lin = plain, linearize(data, plain) if changed else lin.sorted(order)
     snr = lin.drop / noise_variance
     tangent = path_covariances(
         information(unbiased(lin, snr, estimator.level, model.active), model.active) * 2 / noise_variance, model.active

@@ -29,6 +29,7 @@ from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import add_power, derotated, row_peaks
 from .lobes import RADIUS, LobeMap
 from .polish import CellProjector, ResidualProjector
+from .projector import Projector
 
 C64 = np.complex64
 RIVAL = 0.35
@@ -165,8 +166,12 @@ class StagedSearch:
             combiners,
         )
 
-    def filtered(self, signal):
+    def filtered(self, data: Projector):
         """Matched filter of a whitened signal over the delay cells (L, snapshots, elements)."""
+        return self.matched(data.signal)
+
+    def matched(self, signal):
+        """The same of a signal as it is."""
         if self.gather is not None:
             signal = signal[:, self.gather]
         return self.delay.apply(signal.reshape(len(signal), -1)).reshape(len(self.delay.delays), self.snapshots, -1)

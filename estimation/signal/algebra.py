@@ -50,22 +50,23 @@ def _project_band(model: SignalModel, data: Complex, modes: list[Complex], band:
     return project_rest(model, partial.reshape(len(first), first.shape[1], -1), modes)
 
 
-def project_rest(model: SignalModel, partial: Complex, modes: list[Complex]) -> Complex:
-    """Finish a projection (P, 7) whose first mode is contracted already, ``partial`` (P, 2, product of the
-    other modes).
+def project_rest(model: SignalModel, partial, modes: list[Complex]):
+    """Finish a projection (..., P, 7) whose first mode is contracted already, ``partial`` (..., P, 2, product of the
+    other modes); real modes of real data stay real.
     """
     # The remaining modes one after the other, a derivative axis for each; long contiguous rows come first.
-    shape = (len(partial), 2)
+    lead = partial.shape[:-2]
+    shape = (*lead, 2)
     for mode in modes[1:]:
-        vectors = mode.conj().astype(np.complex64)
-        partial = np.matmul(
-            vectors[:, None], partial.reshape(len(partial), -1, mode.shape[-1], partial.shape[-1] // mode.shape[-1])
-        )
+        single = np.complex64 if np.iscomplexobj(mode) else np.float32
+        vectors = mode.conj().astype(single)
+        partial = partial.reshape(*lead, -1, mode.shape[-1], partial.shape[-1] // mode.shape[-1])
+        partial = np.matmul(vectors[:, None], partial)
         shape += (mode.shape[1],)
-        partial = partial.reshape(len(partial), -1, partial.shape[-1])
+        partial = partial.reshape(*lead, -1, partial.shape[-1])
     partial = partial.reshape(shape)
-    index = tuple(model.columns[row] for row in range(len(modes)))
-    return partial.astype(complex)[(slice(None), *index)]
+    double = complex if np.iscomplexobj(partial) else float
+    return partial.astype(double)[(..., *(model.columns[row] for row in range(len(modes))))]
 
 
 def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain: bool = False) -> Complex:

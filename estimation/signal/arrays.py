@@ -102,6 +102,11 @@ class Array:
         return len(self.positions)
 
     @property
+    def normal(self) -> Float | None:
+        """Where a planar array faces (3,), in the parent frame; None for any other."""
+        return None if self._normal is None else self._to_parent(self._normal)
+
+    @property
     def observable(self) -> tuple[bool, bool]:
         """Whether azimuth and elevation can be told: a linear array along z gives elevation only, any other
         line azimuth only.
@@ -146,6 +151,17 @@ class Array:
 
     def _to_parent(self, vectors: Float) -> Float:
         return vectors if self.orientation is None else vectors @ self.orientation.as_matrix().T
+
+
+def to_front(array: Manifold, directions: Float) -> Float:
+    """Unit vectors (P, 3) that ``array`` cannot tell from ``directions``, on the side that it faces.
+
+    Only a planar array of isotropic elements has two sides that look the same.
+    """
+    if not isinstance(array, Array) or array.pattern is not None or array.normal is None:
+        return directions
+    beyond = np.minimum(directions @ array.normal, 0)[:, None]
+    return directions - 2 * beyond * array.normal
 
 
 def ula(count: int, spacing: float = 0.5, **options) -> Array:

@@ -26,6 +26,7 @@ from estimation import (
     ula,
     ura,
 )
+from estimation.signal.arrays import to_front
 from estimation.signal.directions import displaced, sphere, tangents
 
 TURNED = Rotation.from_euler("zy", [40, 20], degrees=True)
@@ -120,3 +121,15 @@ def test_unequal_use_of_beams_has_no_slots():
 
     with pytest.raises(ModelError, match="equally often"):
         Schedule(np.arange(5.0), np.eye(2), np.array([0, 1, 0, 1, 0])).slots()
+
+
+def test_directions_behind_a_planar_array_look_as_those_in_front():
+    turned = Rotation.from_euler("zyx", [0.7, -0.3, 0.2])
+    array = ura(3, 4, orientation=turned)
+    directions = sphere(40)
+    front = to_front(array, directions)
+    assert array.faces(front).all() and np.allclose(np.linalg.norm(front, axis=1), 1)
+    assert np.allclose(array.response(front)[0], array.response(directions)[0])
+    assert np.array_equal(front[array.faces(directions)], directions[array.faces(directions)])
+    for other in (cylinder(6, 2), ura(3, 4, pattern=CosinePattern())):
+        assert to_front(other, directions) is directions

@@ -237,6 +237,14 @@ class TestFailureModes:
             assert len(nomp.run(synthesize(link, path, 1.0, rng))) == 1
 
 
+def test_a_fit_that_ends_behind_a_planar_array_is_reported_in_front(link, nomp):
+    rng = np.random.default_rng(21)
+    paths = at_snr(link, draw_paths(link, rng, Draw(paths=2, separation=2)), [1e4, 1e3])
+    behind = replace(paths, aoa=np.c_[np.pi - paths.aoa[:, 0], paths.aoa[:, 1]])
+    detections = nomp.run(synthesize(link, paths, 1.0, rng), prior=behind)
+    assert found_all(link, detections, paths) and not np.any(detections.flags & 2)
+
+
 def test_direction_covariance_stays_regular_near_the_pole():
     model = SignalModel(comb(28e9, 6.25e6, 32), digital(8, 125e-6), cylinder(8, 3), cylinder(8, 3))
     path = PathTable([60e-9], [[0.4, np.pi / 2 - 1e-5]], [[-1.0, 0.3]], [4.0], [1.0])

@@ -36,15 +36,27 @@ def test_kernels_match_numpy():
 def test_scan_finds_what_is_high(room):
     """Entries above the floor and a tenth of the peak; a full list forgets the lowest, never the highest."""
     rng = np.random.default_rng(1)
-    signal = (rng.standard_normal(3000) + 1j * rng.standard_normal(3000)).astype(np.complex64)
-    power = np.abs(signal) ** 2
+    shape = (5, 3, 4, 50)
+    cells = rng.standard_normal((2, *shape)).astype(np.float32)
+    power = (cells[0] ** 2 + cells[1] ** 2).ravel()
     index, found = np.empty(room, np.int64), np.empty(room, np.float32)
-    count, least = scan(signal.view(np.float32), np.float32(1.0), np.float32(0.1), index, found)
+    nothing = [np.empty((0, size), np.complex64) for size in shape[:3]]
+    count, least = scan(
+        cells,
+        *nothing,
+        np.empty((2, 0, 50), np.float32),
+        np.empty(0, np.float32),
+        np.ones(5, np.float32),
+        np.float32(1.0),
+        np.float32(0.1),
+        index,
+        found,
+    )
     high = index[:count][found[:count] > least]
     assert least >= max(1.0, 0.1 * power.max()) - 1e-5
     assert np.array_equal(np.sort(high), np.flatnonzero(power > least))
     assert int(np.argmax(power)) in high
-    if room > len(signal):
+    if room > len(power):
         assert np.isclose(least, max(1.0, 0.1 * power.max()))
 
 
