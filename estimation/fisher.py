@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from .errors import EstimationError
-from .estimators.refine import Linearization, information
+from .estimators.refine import Linearization, information, inverted
 from .signal.algebra import gram
 from .signal.directions import Float
 from .signal.model import SignalModel
@@ -26,7 +26,8 @@ def fisher_information(model: SignalModel, paths: PathTable, noise_variance: flo
         raise EstimationError(f"fisher_information: noise_variance must be positive, got {noise_variance}")
     blocks = model.evaluate(paths.geometry)
     matrix = gram(model, blocks)
-    lin = Linearization(paths.geometry, blocks, paths.gain, matrix, 0.0, np.zeros((len(paths), 6)))
+    inverse = inverted(matrix[:, 0, :, 0])
+    lin = Linearization(paths.geometry, blocks, paths.gain, matrix, inverse, 0.0, np.zeros((len(paths), 6)))
     return information(lin, model.active) * 2 / noise_variance
 
 

@@ -142,14 +142,16 @@ class Nomp:
         SignalError
             if the signal does not fit the model or is not finite.
         """
-        white = self.model.whiten(self.model.checked(signal))
-        if not np.vdot(white, white).real:
+        signal, energy = self.model.measured(signal)
+        white = self.model.whiten(signal)
+        if not energy:
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
         start = None
         if prior is not None and len(prior):
             start = (prior.table if isinstance(prior, Detections) else prior).geometry
         if not self.dense_multipath:
-            return self._reported(*self._search_all(self.model, white, start, noise_variance))
+            energy = energy if white is signal else None
+            return self._reported(*self._search_all(self.model, white, start, noise_variance, energy=energy))
         model = self.model
         for inflation in (10.0, 1.0):
             # First only what stands out clearly, lest false paths carry off the dense multipath
@@ -167,10 +169,12 @@ class Nomp:
         start: Geometry | None,
         noise_variance: float | None,
         inflation: float = 1.0,
+        energy: float | None = None,
     ) -> tuple[Projector, Linearization | None, Noise]:
-        """All passes of the search on a whitened signal."""
+        """All passes of the search on a whitened signal, whose ``energy`` may be known already."""
         data = Projector(model, model.weighted(white), self._basis)
-        energy = float(np.vdot(white, data.signal).real)
+        if energy is None:
+            energy = float(np.vdot(white, data.signal).real)
         noise = Noise(energy, white.size, noise_variance, inflation)
         filtered = self._search.filtered(data)
         lin = None
@@ -272,8 +276,7 @@ class Nomp:
             if not len(low):
                 return lin
             if len(low) > 1:
-                overlap = coherence(data.model, lin.geometry.take(low))
-                low = low[distinct(overlap, -worth[low], len(low), limit=0.2)]
+                low = low[distinct(lin.coherence[np.ix_(low, low)], -worth[low], len(low), limit=0.2)]
             rest = np.delete(np.arange(len(worth)), low)
             lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
         return None
@@ -293,7 +296,7 @@ class Nomp:
         """A refitted model with one component less that loses less than the threshold, if there is one."""
         variance = noise.variance(lin)
         worth = lin.drop / variance
-        overlap = (coherence(data.model, lin.geometry) - np.eye(len(worth))).max(axis=1, initial=0.0)
+        overlap = (lin.coherence - np.eye(len(worth))).max(axis=1, initial=0.0)
         for index in np.argsort(worth):
             # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
             if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.level:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signal.algebra import Blocks, gram
+from ..signal.algebra import Blocks, gram, normalized
 from ..signal.directions import Float
 from ..signal.paths import Geometry
 from .projector import Projector
@@ -33,6 +33,7 @@ class Linearization:
     blocks : their mode vectors and derivatives
     gain : (P,) optimal gains
     gram : (P, 7, P, 7) Gram matrix of signatures and derivatives
+    inverse : (P, P) inverse Gram matrix of the signatures
     explained : energy explained by the paths, ``b^H G^-1 b``
     gradient : (P, 6) ``Re{conj(g) <d_a s, residual>}``
     """
@@ -41,6 +42,7 @@ class Linearization:
     blocks: Blocks
     gain: np.typing.NDArray[np.complex128]
     gram: np.typing.NDArray[np.complex128]
+    inverse: np.typing.NDArray[np.complex128]
     explained: float
     gradient: Float
 
@@ -49,8 +51,12 @@ class Linearization:
         """(P,) energy lost when a path is removed without changing the others' parameters: ``|g|^2 /
         [G^-1]_pp``.
         """
-        inverse = np.linalg.inv(_regular(self.gram[:, 0, :, 0]))
-        return np.abs(self.gain) ** 2 / np.maximum(np.diag(inverse).real, 1e-300)
+        return np.abs(self.gain) ** 2 / np.maximum(np.diag(self.inverse).real, 1e-300)
+
+    @property
+    def coherence(self) -> Float:
+        """(P, P) normalized inner products of the signatures, as :func:`~estimation.signal.algebra.coherence`."""
+        return normalized(self.gram[:, 0, :, 0])
 
     def sorted(self, order) -> Linearization:
         """The same with the paths in another ``order`` (P,)."""
@@ -59,18 +65,19 @@ class Linearization:
             [[mode[order] for mode in modes] for modes in self.blocks],
             self.gain[order],
             self.gram[order][:, :, order],
+            self.inverse[order][:, order],
             self.explained,
             self.gradient[order],
         )
 
 
-def _regular(plain) -> np.ndarray:
-    """Gram matrix (P, P) of the signatures made invertible.
+def inverted(plain) -> np.ndarray:
+    """Inverse of the signatures' Gram matrix (P, P), made regular.
 
     A step may take a path to where an element's pattern vanishes: it has no signature there, and its gain becomes 0.
     """
     own = np.diag(plain).real
-    return plain + np.diag(np.where(own > 0, 1e-9 * own, 1.0))
+    return np.linalg.inv(plain + np.diag(np.where(own > 0, 1e-9 * own, 1.0)))
 
 
 def linearize(data: Projector, geometry: Geometry) -> Linearization:
@@ -78,22 +85,20 @@ def linearize(data: Projector, geometry: Geometry) -> Linearization:
     blocks = data.model.evaluate(geometry)
     inner = data.inner(geometry, blocks)
     matrix = gram(data.model, blocks)
-    plain = matrix[:, 0, :, 0]
-    gain = np.linalg.solve(_regular(plain), inner[:, 0])
+    inverse = inverted(matrix[:, 0, :, 0])
+    gain = inverse @ inner[:, 0]
     residual = inner - matrix[:, :, :, 0] @ gain
     gradient = np.real(gain.conj()[:, None] * residual[:, 1:])
-    return Linearization(geometry, blocks, gain, matrix, float(np.vdot(inner[:, 0], gain).real), gradient)
+    explained = float(np.vdot(inner[:, 0], gain).real)
+    return Linearization(geometry, blocks, gain, matrix, inverse, explained, gradient)
 
 
 def information(lin: Linearization, active) -> Float:
     """Gauss-Newton matrix (6P, 6P) with the gains eliminated; half of sigma^2 times the Fisher information."""
     paths = len(lin.gain)
-    plain = lin.gram[:, 0, :, 0]
     mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
     weight = np.repeat(lin.gain, 6)
-    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ np.linalg.solve(
-        _regular(plain), mixed
-    )
+    full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ (lin.inverse @ mixed)
     matrix = np.real(weight.conj()[:, None] * full * weight)
     idle = np.tile(~np.asarray(active), paths)
     matrix[idle], matrix[:, idle] = 0.0, 0.0

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..detections import Detections, Flag
 from ..fisher import path_covariances
-from ..signal.algebra import coherence
 from ..signal.arrays import to_front
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry, tangent_jacobian
@@ -79,7 +78,7 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
         covariance = tangent * scale[:, :, None] * scale[:, None]
     table = geometry.table(lin.gain)
     flags = np.zeros(len(snr), np.uint8)
-    overlap = coherence(model, geometry) - np.eye(len(snr))
+    overlap = lin.coherence - np.eye(len(snr))
     flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
     flags[snr < 1.41 * estimator.level] |= np.uint8(Flag.WEAK)
     inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(geometry.departure)

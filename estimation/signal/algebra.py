@@ -106,9 +106,14 @@ def gram_diagonal(model: SignalModel, blocks: Blocks) -> Complex:
 def coherence(model: SignalModel, geometry: Geometry):
     """|normalized inner products| (P, P) of signatures, between 0 and 1."""
     blocks = [[mode[:, :1] for mode in modes] for modes in model.evaluate(geometry)]
-    matrix = np.abs(gram(model, blocks, plain=True)[:, 0, :, 0])
-    norm = np.sqrt(np.diag(matrix))
-    return matrix / np.maximum(np.outer(norm, norm), 1e-300)
+    return normalized(gram(model, blocks, plain=True)[:, 0, :, 0])
+
+
+def normalized(matrix: Complex):
+    """Magnitudes (P, P) of a Gram matrix with ones on its diagonal."""
+    size = np.abs(matrix)
+    norm = np.sqrt(np.diag(size))
+    return size / np.maximum(norm[:, None] * norm, 1e-300)
 
 
 def _weighted(model: SignalModel, row: int, block: Complex) -> Complex:

@@ -31,9 +31,10 @@ def tangents(vectors: Float) -> Float:
     """Orthonormal tangents (..., 2, 3), along increasing azimuth and elevation, at unit vectors (..., 3)."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     radius = np.hypot(x, y)
+    # At a pole azimuth counts from x.
     pole = radius < 1e-300
-    safe = np.where(pole, 1.0, radius)
-    cosine, sine = np.where(pole, 1.0, x / safe), y / safe
+    safe = radius + pole
+    cosine, sine = x / safe + pole, y / safe
     out = np.zeros((*vectors.shape[:-1], 2, 3))
     out[..., 0, 0], out[..., 0, 1] = -sine, cosine
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -z * cosine, -z * sine, radius

@@ -197,7 +197,11 @@ class SignalModel:
         return np.einsum("nij,knj...->kni...", per_symbol, noise)
 
     def checked(self, signal) -> np.typing.NDArray[np.complex64]:
-        """The signal as a contiguous complex64 array.
+        """The signal as a contiguous complex64 array; errors as in :meth:`measured`."""
+        return self.measured(signal)[0]
+
+    def measured(self, signal) -> tuple[np.typing.NDArray[np.complex64], float]:
+        """The signal as a contiguous complex64 array, and its energy.
 
         Raises
         ------
@@ -213,12 +217,12 @@ class SignalModel:
                 f"signal: shape {signal.shape} does not match the model's {self.shape} "
                 "(subcarriers, symbols, receive ports[, transmit elements])"
             )
-        energy = np.vdot(signal, signal).real
+        energy = float(np.vdot(signal, signal).real)
         if not np.isfinite(energy):
             raise SignalError(
                 "signal: it contains NaN or infinite samples, or overflows single precision; clean or rescale it"
             )
-        return signal
+        return signal, energy
 
     def evaluate(self, geometry: Geometry) -> list[list[Complex]]:
         """Mode blocks per band: a list of bands, each a list over modes of (P, 1 + c, n)."""
