@@ -25,7 +25,7 @@ from .folding import Folding, Matrix, joined, product, product_right
 from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import scan, screen
 from .lobes import LobeMap
-from .polish import MatchedProjector, ResidualProjector
+from .polish import LEAST_NOVELTY, MatchedProjector, ResidualProjector
 from .pool import Pool
 from .projector import Projector
 from .search import C64, Effort, largest
@@ -59,10 +59,21 @@ class Matched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spectrum:
-    """A filtered signal less known paths: the factors (P, L), (P, V), (P, A) and (P, D) of those in its cells."""
+    """A filtered signal less known paths: the factors (P, L), (P, V), (P, A) and (P, D) of those in its cells, and their
+    energies (P,).
+    """
 
     matched: Matched
     known: tuple[Single, Single, Single, Single]
+    energy: Float
+
+    def novelty(self, cells) -> Float:
+        """Share (C,) of the energy at ``cells`` (4, C) that the known paths could not explain."""
+        share = np.ones(cells.shape[1])
+        if len(self.energy):
+            at = np.prod([factor[:, index] for factor, index in zip(self.known, cells, strict=True)], axis=0)
+            share -= np.max(np.abs(at) ** 2 / self.energy[:, None], axis=0)
+        return np.maximum(share, LEAST_NOVELTY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +198,13 @@ class DenseSearch:
             block = slice(start, start + count)
             part = product_right(partial[:, block].reshape(2, -1, elements), departure)
             product(arrival, part.reshape(2, -1, speeds, ports, departures), matched.cells[:, block])
-        return Spectrum(matched, self._factors(None, None))
+        return Spectrum(matched, self._factors(None, None), np.empty(0))
 
     def without(self, filtered: Spectrum, blocks: Blocks, gain) -> Spectrum:
         """The spectrum with given paths taken out of its cells."""
-        return replace(filtered, known=self._factors([mode[:, 0] for mode in blocks[0]], gain))
+        modes = [mode[:, 0] for mode in blocks[0]]
+        energy = np.abs(gain) ** 2 * np.prod([np.sum(np.abs(mode) ** 2, axis=1) for mode in modes], axis=0)
+        return replace(filtered, known=self._factors(modes, gain), energy=np.maximum(energy, 1e-300))
 
     def _factors(self, modes, gain) -> tuple[Single, Single, Single, Single]:
         """Responses of the dictionaries to paths, in the layout of :class:`Spectrum`."""
@@ -238,7 +251,8 @@ class DenseSearch:
         screen(filtered.matched.cells, *known, high, *tables, energy, best)
         energy *= equal[high[0]] ** 2
         order = largest(energy, 12 * effort.candidates)
-        order = order[energy[order] > PROMISING * min(interest, energy[order[0]])]
+        hopes = energy[order] / filtered.novelty(high[:, order])
+        order = order[hopes > PROMISING * min(interest, energy[order[0]])]
         (delay, speed, arrival, departure), near = high[:, order], best[:, order]
         points = Geometry(
             self.delay.delays[delay] + self.offsets[0][near[0]],

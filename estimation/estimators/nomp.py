@@ -26,7 +26,7 @@ from .detect import calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .grids import EVERYWHERE, View, directions_in
 from .mirror import MirroredSearch
-from .polish import separate_fit
+from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
@@ -195,8 +195,8 @@ class Nomp:
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
-                # A pass that ends with no more paths than before would repeat itself for ever.
-                if grown is None or (lin is not None and len(grown.gain) <= len(lin.gain)):
+                # A pass that ends with neither more paths nor better ones would repeat itself for ever.
+                if grown is None or not self._better(grown, lin, noise):
                     accepted, more = accepted.take([]), False
                 else:
                     lin = grown
@@ -205,6 +205,12 @@ class Nomp:
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         return data, self._pruned(data, lin, noise), noise
+
+    def _better(self, grown: Linearization, lin: Linearization | None, noise: Noise) -> bool:
+        """Whether a fit is progress: it has more paths, or as many that explain more by the worth of one."""
+        more = len(grown.gain) - (0 if lin is None else len(lin.gain))
+        gained = grown.explained - (0.0 if lin is None else lin.explained)
+        return more > 0 or (more == 0 and gained > self.level * noise.variance(grown))
 
     def _reported(self, data: Projector, lin: Linearization | None, noise: Noise) -> Detections:
         if lin is None:
@@ -232,7 +238,11 @@ class Nomp:
         points = self._search.candidates(residual, effort, variance, interest, scale)
         if not len(points):
             return points, np.zeros(0)
-        points, energies = separate_fit(self._search.projector(data, residual, lin, points), points, variance, interest)
+        start = novelty(model, points, lin)
+        cells = self._search.projector(data, residual, lin, points)
+        points, energies = separate_fit(cells, points, variance, interest, novel=start)
+        if start.min() < 0.9:
+            energies = energies / novelty(model, points, lin)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
         if isinstance(self._search, StagedSearch) and len(significant):
             significant = significant[lone(model, points.take(significant), energies[significant])]

@@ -21,6 +21,22 @@ from .refine import LARGEST_STEP, Linearization, bounded, metric
 
 PROMISE = 2.5
 """A candidate climbs at most this many times what its first step predicts."""
+LEAST_NOVELTY = 0.05
+"""Of a candidate's energy at least this share counts as new, however close a known path is."""
+
+
+def novelty(model: SignalModel, geometry: Geometry, known: Linearization | None) -> Float:
+    """Share (P,) of the energy of candidates that ``known`` paths could not explain with other gains.
+
+    What a candidate finds in the residual divided by this is what it adds to the explained energy.
+    """
+    if known is None or not len(geometry):
+        return np.ones(len(geometry))
+    blocks = [[mode[:, :1] for mode in modes] for modes in model.evaluate(geometry)]
+    own = gram_diagonal(model, blocks, plain=True)[:, 0, 0].real
+    cross = gram(model, blocks, known.blocks, plain=True)[:, 0, :, 0]
+    shared = np.einsum("pk,kl,pl->p", cross, known.inverse, cross.conj()).real
+    return np.maximum(1 - shared / np.maximum(own, 1e-300), LEAST_NOVELTY)
 
 
 class CellProjector:
@@ -112,12 +128,14 @@ def separate_fit(
     iterations: int = 6,
     tolerance: float = 0.3,
     doubt: float = 0.8,
+    novel: Float | float = 1.0,
 ) -> tuple[Geometry, Float]:
     """Levenberg-Marquardt of P candidates, each alone in the residual.
 
     Candidates whose predicted gain in log-likelihood falls below ``tolerance`` (or is a trifle beside their energy)
     take it as predicted and stop; so do those out of whose reach is ``interest`` (an energy; if infinite, the best of
-    them), at first with ``doubt`` about a prediction from afar.
+    them), at first with ``doubt`` about a prediction from afar. ``novel`` (P,) is the share of their energy that would be
+    new: only what adds to known paths counts.
 
     Returns
     -------
@@ -130,6 +148,7 @@ def separate_fit(
     gradient, lengths = np.zeros((count, 6)), np.zeros((count, 6, 6))
     damping = np.full(count, 1e-2)
     live = np.arange(count)
+    fresh = np.broadcast_to(novel, (count,))
     trial = geometry
     for iteration in range(iterations + 1):
         trial_energy, trial_gradient, trial_lengths = _assess(data, trial, live)
@@ -151,7 +170,7 @@ def separate_fit(
         # A strong candidate need not be exact: it goes through the joint fit anyway.
         done = rise <= np.maximum(tolerance * noise_variance, 0.03 * energy[live])
         reach = energy[live] + PROMISE * rise
-        goal = interest if np.isfinite(interest) else energy.max()
+        goal = (interest if np.isfinite(interest) else energy.max()) * fresh[live]
         hopeless = reach <= (doubt * goal if iteration == 0 else goal)
         # So short a step does as predicted; there is no need to look.
         last = live[done]

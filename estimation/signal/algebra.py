@@ -91,14 +91,15 @@ def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain:
     return total
 
 
-def gram_diagonal(model: SignalModel, blocks: Blocks) -> Complex:
-    """Gram matrices (P, 7, 7) of each path with itself."""
+def gram_diagonal(model: SignalModel, blocks: Blocks, plain: bool = False) -> Complex:
+    """Gram matrices (P, 7, 7) of each path with itself; (P, 1, 1) without derivatives if ``plain``."""
     total = 0
+    columns = np.zeros((len(blocks[0]), 1), int) if plain else model.columns
     for modes in blocks:
         product = 1
         for row, block in enumerate(modes):
             inner = np.matmul(block.conj(), _weighted(model, row, block).swapaxes(1, 2))
-            product = product * inner[:, model.columns[row]][:, :, model.columns[row]]
+            product = product * inner[:, columns[row]][:, :, columns[row]]
         total = total + product
     return total
 
