@@ -30,6 +30,7 @@ from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
+from .split import halves, side_lobes
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,21 +197,40 @@ class Nomp:
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
                 # A pass that ends with neither more paths nor better ones would repeat itself for ever.
-                if grown is None or not self._better(grown, lin, noise):
-                    accepted, more = accepted.take([]), False
-                else:
+                if self._better(grown, lin, noise):
                     lin = grown
+                else:
+                    accepted, more = accepted.take([]), False
+            if not len(accepted) and lin is not None and len(efforts) == 1:
+                lin = self._split(data, lin, found, statistic, noise)
             # A quick pass is for paths that stand out; the last of them leaves nothing that would.
             faint = len(statistic) and statistic[0] < FAINT * self.level
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         return data, self._pruned(data, lin, noise), noise
 
-    def _better(self, grown: Linearization, lin: Linearization | None, noise: Noise) -> bool:
-        """Whether a fit is progress: it has more paths, or as many that explain more by the worth of one."""
-        more = len(grown.gain) - (0 if lin is None else len(lin.gain))
-        gained = grown.explained - (0.0 if lin is None else lin.explained)
-        return more > 0 or (more == 0 and gained > self.level * noise.variance(grown))
+    def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise) -> Linearization:
+        """The paths, one of them in two if that explains its side lobes: candidates, or paths that took their place."""
+        near = found.take(np.flatnonzero(statistic > SIDE_LOBE * self.level))
+        lobes = [(lin.geometry, path, mode) for _, path, mode in side_lobes(data.model, near, lin)]
+        if len(near) and statistic[0] > self.level:
+            # Something is left that no further path explains.
+            for other, path, mode in side_lobes(data.model, lin.geometry, lin):
+                rest = lin.geometry.take(np.arange(len(lin.gain)) != other)
+                lobes.append((rest, path - (other < path), mode))
+        for paths, path, mode in lobes:
+            for start in halves(data.model, paths, path, mode):
+                grown = self._eliminated(data, self._fit(data, start, noise), noise)
+                if self._better(grown, lin, noise):
+                    return grown
+        return lin
+
+    def _better(self, grown: Linearization | None, lin: Linearization | None, noise: Noise) -> bool:
+        """Whether a fit is progress: it has more paths, or explains more by the worth of one with no more."""
+        if grown is None or lin is None:
+            return grown is not None
+        gained = grown.explained - lin.explained
+        return len(grown.gain) > len(lin.gain) or gained > self.level * noise.variance(grown)
 
     def _reported(self, data: Projector, lin: Linearization | None, noise: Noise) -> Detections:
         if lin is None:
@@ -330,6 +350,8 @@ def lone(model: SignalModel, geometry: Geometry, energy) -> np.ndarray:
     return distinct(coherence(model, geometry), energy, len(energy), limit=0.25)
 
 
+SIDE_LOBE = 0.5
+"""Candidates above this share of the threshold may be what one path leaves of two."""
 FAINT = 10.0
 """Below this multiple of the threshold the strongest path of a pass ends the quick passes."""
 LEAST_NOISE = 1e-9
