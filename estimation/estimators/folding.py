@@ -102,8 +102,10 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Folding:
-    """Pairs of the ``axes`` of a link's data: pilots, symbols, receive ports and transmit elements (one where the link
-    has none); those of the ``arrays`` that are modes of their own.
+    """Pairs of the ``axes`` of a link's data and of those of its ``arrays`` that are modes of their own.
+
+    The axes are pilots, symbols, receive elements and transmit elements of a digital link; of any other link only the
+    pilots fold, and the last axis is all the rest.
     """
 
     axes: tuple[Pairs, Pairs, Pairs, Pairs]
@@ -111,20 +113,15 @@ class Folding:
 
     @staticmethod
     def build(model: SignalModel) -> Folding:
-        """Pairs wherever an axis is a mode of its own and symmetric."""
-        schedule = model.schedule
-        symbols, ports, elements = (Pairs.none(size) for size in (*model.shape, 1)[1:4])
+        """Pairs wherever a mode is symmetric."""
         pilots = Pairs.build(model.waveform.frequencies[:, None])
-        arrays: tuple[Pairs, ...] = ()
-        if schedule.precoders is None and schedule.combiners is None:
-            symbols = Pairs.build(schedule.times[:, None])
-        if schedule.combiners is None:
-            ports = Pairs.of_array(model.receiver)
-            arrays = (*arrays, ports)
-        if schedule.precoders is None:
-            elements = Pairs.of_array(model.transmitter)
-            arrays = (*arrays, elements)
-        return Folding((pilots, symbols, ports, elements), arrays)
+        if model.schedule.precoders is None and model.schedule.combiners is None:
+            symbols = Pairs.build(model.schedule.times[:, None])
+            arrays = Pairs.of_array(model.receiver), Pairs.of_array(model.transmitter)
+            return Folding((pilots, symbols, *arrays), arrays)
+        others = model.bands[0].modes[2:]
+        rest = Pairs.none(int(np.prod(model.shape[1:])))
+        return Folding((pilots, Pairs.none(1), Pairs.none(1), rest), tuple(Pairs.none(m.size) for m in others))
 
     def planes(self, signal, out: Planes) -> Planes:
         """Real and imaginary planes ``out`` (2, K, N, R, T) of a folded signal."""

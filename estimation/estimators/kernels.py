@@ -131,6 +131,9 @@ def _fold_mirrored(x, y, u, v):
 @compiled
 def _fold_tabled(x, y, elements, u, v):
     half, count = np.float32(0.70710678), len(elements[0])
+    if count == 0:
+        u[:], v[:] = x, y
+        return
     for t in range(count):
         i, j = elements[0][t], elements[1][t]
         u[t], v[t] = half * (x[i] + x[j]), half * (y[i] + y[j])

@@ -212,8 +212,10 @@ class Nomp:
     def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise) -> Linearization:
         """The paths, one of them in two if that explains its side lobes: candidates, or paths that took their place."""
         near = found.take(np.flatnonzero(statistic > SIDE_LOBE * self.level))
+        if not len(near):
+            return lin
         lobes = [(lin.geometry, path, mode) for _, path, mode in side_lobes(data.model, near, lin)]
-        if len(near) and statistic[0] > self.level:
+        if statistic[0] > self.level:
             # Something is left that no further path explains.
             for other, path, mode in side_lobes(data.model, lin.geometry, lin):
                 rest = lin.geometry.take(np.arange(len(lin.gain)) != other)
@@ -235,7 +237,7 @@ class Nomp:
     def _reported(self, data: Projector, lin: Linearization | None, noise: Noise) -> Detections:
         if lin is None:
             return report.empty(self, noise.variance(None))
-        lin = self._fit(data, lin, noise, tolerance=1e-3)
+        lin = self._fit(data, lin, noise, tolerance=3e-3)
         return report.detections(self, data, lin, noise.variance(lin))
 
     def _fit(

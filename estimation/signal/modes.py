@@ -160,7 +160,7 @@ class TimeMode:
             timed[:, 1:, :, None] * ports[:, :1],
             (rate * timed[:, :1])[..., None] * ports[:, :1],
         ]
-        return np.concatenate(columns, axis=1).reshape(len(geometry), -1, self.size)
+        return np.concatenate(columns, axis=1).reshape(len(geometry), 1 + len(self.parameters), self.size)
 
 
 def _block(array: Manifold, directions: Float, scale: float) -> Complex:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..jit import compiled
 
-BLOCK = 1024
+BLOCK = 256
 
 
 def white_noise(shape: tuple[int, ...], variance: float, rng: np.random.Generator) -> np.typing.NDArray[np.complex64]:

@@ -236,6 +236,26 @@ class TestFailureModes:
             path = at_snr(link, draw_paths(link, rng, Draw(paths=1)), [10**5.5])
             assert len(nomp.run(synthesize(link, path, 1.0, rng))) == 1
 
+    @pytest.mark.parametrize("angle", [0.0, 2.55, 3.0])
+    def test_close_pair_in_phase_and_in_opposition(self, angle):
+        """7. In phase, two paths 0.3 bins apart leave side lobes below the threshold; in opposition the first single
+        path lies beside both, and a joint fit from there is stuck.
+        """
+        model = SignalModel(comb(28e9, 6.25e6, 64), digital(16, 125e-6), ura(4, 4), ura(4, 4))
+        estimator = Nomp(model, threshold=24.1, **VIEWS)
+        sines = np.array([0.03, 0.18]) / np.cos(0.25)
+        for seed in range(2):
+            both = PathTable(
+                [50e-9, 50e-9],
+                np.c_[np.arcsin(sines), [0.25, 0.25]],
+                [[0.75, -0.13], [0.75, -0.13]],
+                [-0.6, -0.6],
+                np.sqrt(2e4 / np.prod(model.shape)) * np.exp([0.3j, 0.3j + 1j * angle]),
+            )
+            rng = np.random.default_rng(700 + seed)
+            match = associate(model, estimator.run(synthesize(model, both, 1.0, rng)), both, 1.0)
+            assert match.detected.all() and match.false == 0
+
 
 def test_a_fit_that_ends_behind_a_planar_array_is_reported_in_front(link, nomp):
     rng = np.random.default_rng(21)
