@@ -92,6 +92,8 @@ def _resolution(plt, result):
                 capsize=2,
                 label=f"rho {label}",
             )
+            possible = [r["possible"] for r in rows]
+            axis.plot([r["separation"] for r in rows], possible, "--", color=color, lw=0.8, label="likelihood ratio")
         axis.set(title=dimension, xlabel="separation [bins]")
     np.atleast_1d(axes)[0].set_ylabel("both found, nothing else")
     np.atleast_1d(axes)[0].legend(fontsize=8)

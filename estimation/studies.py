@@ -1,4 +1,4 @@
-"""Monte Carlo studies of the estimators: accuracy, detection, resolution, false alarms, speed.
+"""Monte Carlo studies of the estimators: accuracy, detection, false alarms, speed; :mod:`~estimation.resolution` apart.
 
 Every function draws its own data from explicit seeds and returns plain dictionaries (JSON), with 95 %
 intervals beside the estimates. The reference link has 64 subcarriers over 400 MHz, 16 symbols 125 us apart, a
@@ -8,11 +8,10 @@ intervals beside the estimates. The reference link has 64 subcarriers over 400 M
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import beta
 
 from .detections import Detections
 from .estimators.detect import detection_probability
@@ -20,6 +19,7 @@ from .estimators.esprit import Esprit
 from .estimators.nomp import Nomp
 from .estimators.sage import Sage
 from .evaluate import Match, associate, detection_by_band, nees_by_band, summarize
+from .resolution import interval
 from .scenarios import FRONT, Draw, at_snr, draw_paths, hybrid_link, reference_link, swept_link
 from .signal.arrays import ura
 from .signal.model import SignalModel
@@ -30,13 +30,6 @@ from .signal.waveform import comb
 
 BANDS = (10, 14, 17, 20, 25, 35, 50, 90)
 ESTIMATORS = {"nomp": Nomp, "sage": Sage, "esprit": Esprit}
-
-
-def interval(successes: int, trials: int) -> tuple[float, float]:
-    """Clopper-Pearson 95 % interval of a proportion."""
-    low = 0.0 if successes == 0 else float(beta.ppf(0.025, successes, trials - successes + 1))
-    high = 1.0 if successes == trials else float(beta.ppf(0.975, successes + 1, trials - successes))
-    return low, high
 
 
 @dataclass(frozen=True)
@@ -172,55 +165,6 @@ def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
                 "threshold": threshold,
                 "measured": above / snapshots,
                 "interval": interval(above, snapshots),
-            }
-        )
-    return rows
-
-
-def resolution(dimension: int, separations, rho_db: float, trials: int, seed: int = 41) -> list[dict]:
-    """Two equal paths ``separations`` bins apart in one of delay, AOA, AOD, speed (0, 1, 2, 3): share of
-    bursts with exactly both found.
-    """
-    model = reference_link(64, 16, (4, 4), (4, 4))
-    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
-    bins = (1 / model.waveform.bandwidth, 0.5, 0.5, model.waveform.wavelength / (16 * 125e-6))
-    rows = []
-    for number, separation in enumerate(separations):
-        good = 0
-        for trial in range(trials):
-            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(dimension, number, trial)))
-            single = draw_paths(model, rng, Draw(paths=1, speeds=(-15.0, 15.0)))
-            shifted = [single.delay, single.aoa.copy(), single.aod.copy(), single.radial_velocity]
-            step = separation * bins[dimension]
-            if dimension in (1, 2):
-                # A bin is 2/4 in the horizontal direction cosine of four half-wavelength elements.
-                el = shifted[dimension][0, 1]
-                start = rng.uniform(-0.4, 0.4 - step) if step < 0.8 else -0.4
-                base = list(shifted)
-                base[dimension] = np.array([[np.arcsin(start / np.cos(el)), el]])
-                single = PathTable(*base, single.gain)
-                shifted[dimension] = np.array([[np.arcsin((start + step) / np.cos(el)), el]])
-            else:
-                shifted[dimension] = shifted[dimension] + step
-            both = PathTable(
-                *(
-                    np.concatenate(pair)
-                    for pair in zip(
-                        (single.delay, single.aoa, single.aod, single.radial_velocity), shifted, strict=True
-                    )
-                ),
-                np.exp(2j * np.pi * rng.random(2)),
-            )
-            level = np.sqrt(10 ** (rho_db / 10) / np.prod(model.shape))
-            both = replace(both, gain=both.gain * level)
-            match = associate(model, estimator.run(synthesize(model, both, 1.0, rng)), both, 1.0)
-            good += bool(match.detected.all() and match.false == 0)
-        rows.append(
-            {
-                "separation": separation,
-                "resolved": good / trials,
-                "interval": interval(good, trials),
-                "trials": trials,
             }
         )
     return rows

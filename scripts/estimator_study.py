@@ -78,10 +78,12 @@ def run_study(name: str, options):
     if name == "hybrid":
         return studies.hybrid(count)
     if name == "resolution":
+        from estimation.resolution import DIMENSIONS, resolution
+
         separations = (0.1, 0.2, 0.3, 0.5, 0.7)
         return {
-            label: {f"{rho} dB": studies.resolution(d, separations, rho, count) for rho in (30, 40)}
-            for d, label in enumerate(("delay", "aoa", "aod", "speed"))
+            label: {f"{rho} dB": resolution(d, separations, rho, count) for rho in (30, 40)}
+            for d, label in enumerate(DIMENSIONS)
         }
     if name == "false_alarms":
         return studies.false_alarms((0.3, 0.1, 0.03, 0.01), 4 * count)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation import Nomp, SignalModel, comb, detection_probability, digital, ura
+from estimation import Nomp, SignalModel, comb, detection_probability, digital, unit_vectors, ura
 from estimation.evaluate import summarize
-from estimation.scenarios import FRONT, Draw, at_snr, draw_paths, swept_link
+from estimation.resolution import close_pair, resolution
+from estimation.scenarios import FRONT, Draw, at_snr, draw_paths, reference_link, swept_link
 from estimation.studies import run_series
 
 pytestmark = pytest.mark.mc
@@ -63,3 +64,24 @@ def test_swept_link_at_the_bound():
     assert np.all((total.rmse_over_crb > 0.8) & (total.rmse_over_crb < 1.2)), total.rmse_over_crb
     assert 0.83 < total.nees_over_n < 1.17
     assert sum(m.false for m in runs.matches) <= 2
+
+
+def test_close_pairs_are_told_apart_where_a_likelihood_ratio_could():
+    """AOA at 0.3 bins: in phase the pair may stay below any threshold, in opposition a fit may be stuck."""
+    row = resolution(1, (0.3,), 40.0, 16)[0]
+    assert row["possible"] > 0.8
+    assert row["resolved"] >= row["possible"] - 0.13
+
+
+def test_pairs_are_as_far_apart_as_asked():
+    model = reference_link(64, 16, (4, 4), (4, 4))
+    for dimension in range(4):
+        pair = close_pair(model, dimension, 0.5, 30.0, np.random.default_rng(3))
+        bins = [
+            np.diff(pair.delay) * 400e6,
+            np.diff(unit_vectors(pair.aoa)[:, 1]) * 2,
+            np.diff(unit_vectors(pair.aod)[:, 1]) * 2,
+            np.diff(pair.radial_velocity) * 2e-3 / model.waveform.wavelength,
+        ]
+        assert np.allclose(np.ravel(bins), 0.5 * (np.arange(4) == dimension), atol=1e-9)
+        assert np.allclose(np.abs(pair.gain) ** 2 * np.prod(model.shape), 1e3)
