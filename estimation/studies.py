@@ -177,10 +177,10 @@ def speed(
         (64, 16, (4, 4), (8, 8)),
         (128, 16, (4, 4), (8, 8)),
     ),
-    bursts: int = 3,
+    bursts: int = 8,
 ) -> list[dict]:
-    """Fastest of a few bursts per size, cold and warm, beside the floor: the arithmetic of one search at the rate of a
-    large matrix product.
+    """Median over some bursts of the fastest of three runs of each, per size, cold and warm, beside the floor: the
+    arithmetic of one search at the rate of a large matrix product.
     """
     rows = []
     square = np.ones((512, 512), np.complex64)
@@ -190,23 +190,23 @@ def speed(
         estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=0)
         draw = Draw(delays=(20e-9, 140e-9))
         cases = [lambda rng, m=model, d=draw: (draw_paths(m, rng, d), 100.0 * np.prod(m.shape) / 2**20)] * bursts
-        cold, warm = (run_series(estimator, model, cases, 51, w).milliseconds for w in (False, True))
-        synthesis = min(
-            _timed(
-                lambda m=model: synthesize(m, draw_paths(m, np.random.default_rng(1)), 1.0, np.random.default_rng(0))
-            )
-            for _ in range(3)
+        cold, warm = (
+            np.median(np.min([run_series(estimator, model, cases, 51, w).milliseconds for _ in range(3)], axis=0))
+            for w in (False, True)
         )
+        paths = draw_paths(model, np.random.default_rng(1))
+        noise = np.random.default_rng(0)
+        synthesis = min(_timed(lambda m=model, p=paths, r=noise: synthesize(m, p, 1.0, r)) for _ in range(9))
         floor = 1e3 * estimator._search.operations(model) / rate
         rows.append(
             {
                 "samples": int(np.prod(model.shape)),
-                "ms_cold": min(cold),
-                "ms_warm": min(warm),
+                "ms_cold": float(cold),
+                "ms_warm": float(warm),
                 "ms_synthesis_per_million": 1e9 * synthesis / np.prod(model.shape),
                 "cgemm_gflops": rate / 1e9,
                 "ms_floor": floor,
-                "cold_over_floor": min(cold) / floor,
+                "cold_over_floor": float(cold) / floor,
             }
         )
     return rows

@@ -40,8 +40,8 @@ PROMISING = 0.75
 """Cells whose neighborhood has less than this share of an energy do not reach it when refined (1 in 300 do)."""
 MOST = 20_000
 """High cells of one scan; a scan that finds more raises its level."""
-BLOCK = 1 << 17
-"""Cells worked on at a time: one megabyte, so that intermediate results stay near the core."""
+BLOCK = 1 << 16
+"""Cells worked on at a time: half a megabyte, so that intermediate results stay near the core."""
 
 
 class Matched:
