@@ -30,13 +30,13 @@ from .pool import Pool
 from .projector import Projector
 from .search import C64, Effort, largest
 
-NOISE_CELL = 7.5
+NOISE_CELL = 7.0
 """Cells below this many noise variances are not looked at: a path worth reporting keeps more in its best
 cell, but for rare scalloping.
 """
 TRIFLE = 0.03
 """A known path stays in rows of the spectrum where it has less than this share of the noise variance."""
-PROMISING = 0.75
+PROMISING = 0.7
 """Cells whose neighborhood has less than this share of an energy do not reach it when refined (1 in 300 do)."""
 MOST = 20_000
 """High cells of one scan; a scan that finds more raises its level."""

@@ -6,6 +6,9 @@ import numpy as np
 
 from ..jit import compiled
 
+AHEAD = 64
+"""Cells whose neighbors are fetched together."""
+
 
 @compiled
 def add_power(values, out):
@@ -218,40 +221,46 @@ def screen(cells, first, speed, arrival, departure, high, n0, w0, n1, w1, n2, w2
     flat = cells.reshape(cells.size)
     step = np.array([cells[0, 0].size, cells[0, 0, 0].size, cells.shape[4], 1])
     ends = np.cumsum(np.array([n0.shape[1], n1.shape[1], n2.shape[1], n3.shape[1]]))
-    share, near = np.empty((2, paths), np.float32), np.empty((2, ends[3]), np.float32)
-    for h in range(high.shape[1]):
-        i, j, k, d = high[0, h], high[1, h], high[2, h], high[3, h]
-        at = i * step[0] + j * step[1] + k * step[2] + d
-        # All neighbors are fetched before any is looked at: they lie far apart, and waits for memory overlap.
-        _fetch(flat, at - i * step[0], step[0], i, n0, near, 0)
-        _fetch(flat, at - j * step[1], step[1], j, n1, near, ends[0])
-        _fetch(flat, at - k * step[2], step[2], k, n2, near, ends[1])
-        _fetch(flat, at - d, 1, d, n3, near, ends[2])
-        # One axis at a time; the known paths are products of the other three.
-        for p in range(paths):
-            _keep(share, p, _at(speed, j, p) * _at(arrival, k, p) * _at(departure, d, p))
-        start, peak, best[0, h] = _best_point(near, 0, i, n0, w0, share, first)
-        total = peak
-        for p in range(paths):
-            _keep(share, p, _at(first, i, p) * _at(arrival, k, p) * _at(departure, d, p))
-        _, peak, best[1, h] = _best_point(near, ends[0], j, n1, w1, share, speed)
-        total *= peak / start
-        for p in range(paths):
-            _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(departure, d, p))
-        _, peak, best[2, h] = _best_point(near, ends[1], k, n2, w2, share, arrival)
-        total *= peak / start
-        for p in range(paths):
-            _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(arrival, k, p))
-        _, peak, best[3, h] = _best_point(near, ends[2], d, n3, w3, share, departure)
-        energy[h] = total * (peak / start)
+    near, share = np.empty((AHEAD, 2, ends[3]), np.float32), np.empty((2, paths), np.float32)
+    re, im = np.empty(ends[3], np.float32), np.empty(ends[3], np.float32)
+    for begin in range(0, high.shape[1], AHEAD):
+        # Neighbors lie far apart in memory: fetched for many cells before any is looked at, their waits overlap.
+        many = min(AHEAD, high.shape[1] - begin)
+        for g in range(many):
+            i, j, k, d = high[0, begin + g], high[1, begin + g], high[2, begin + g], high[3, begin + g]
+            at = i * step[0] + j * step[1] + k * step[2] + d
+            _fetch(flat, at - i * step[0], step[0], i, n0, near, g, 0)
+            _fetch(flat, at - j * step[1], step[1], j, n1, near, g, ends[0])
+            _fetch(flat, at - k * step[2], step[2], k, n2, near, g, ends[1])
+            _fetch(flat, at - d, 1, d, n3, near, g, ends[2])
+        for g in range(many):
+            h = begin + g
+            i, j, k, d = high[0, h], high[1, h], high[2, h], high[3, h]
+            # One axis at a time; the known paths are products of the other three.
+            for p in range(paths):
+                _keep(share, p, _at(speed, j, p) * _at(arrival, k, p) * _at(departure, d, p))
+            start, peak, best[0, h] = _best_point(near, g, 0, i, n0, w0, share, first, re, im)
+            total = peak
+            for p in range(paths):
+                _keep(share, p, _at(first, i, p) * _at(arrival, k, p) * _at(departure, d, p))
+            _, peak, best[1, h] = _best_point(near, g, ends[0], j, n1, w1, share, speed, re, im)
+            total *= peak / start
+            for p in range(paths):
+                _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(departure, d, p))
+            _, peak, best[2, h] = _best_point(near, g, ends[1], k, n2, w2, share, arrival, re, im)
+            total *= peak / start
+            for p in range(paths):
+                _keep(share, p, _at(first, i, p) * _at(speed, j, p) * _at(arrival, k, p))
+            _, peak, best[3, h] = _best_point(near, g, ends[2], d, n3, w3, share, departure, re, im)
+            energy[h] = total * (peak / start)
 
 
 @compiled
-def _fetch(flat, base, stride, cell, neighbors, near, start):
+def _fetch(flat, base, stride, cell, neighbors, near, slot, start):
     plane = len(flat) // 2
     for m in range(neighbors.shape[1]):
         at = base + neighbors[cell, m] * stride
-        near[0, start + m], near[1, start + m] = flat[at], flat[plane + at]
+        near[slot, 0, start + m], near[slot, 1, start + m] = flat[at], flat[plane + at]
 
 
 @compiled
@@ -265,30 +274,30 @@ def _keep(share, path, value):
 
 
 @compiled
-def _best_point(near, begin, cell, neighbors, weights, share, factor):
-    """Energy at the cell, at the best point along one axis, and the number of that point; ``near`` from ``begin`` on
-    are the neighbors.
+def _best_point(near, slot, start, cell, neighbors, weights, share, factor, re, im):
+    """Energy at the cell, at the best point along one axis, and the number of that point; ``near[slot]`` from ``start``
+    on are the neighbors.
 
     Everything is addressed in place: making a slice would take longer than what is computed from it.
     """
     count, paths = neighbors.shape[1], share.shape[1]
     for m in range(count):
         row = neighbors[cell, m]
-        re, im = near[0, begin + m], near[1, begin + m]
+        x, y = near[slot, 0, start + m], near[slot, 1, start + m]
         for p in range(paths):
-            re -= share[0, p] * factor[0, row, p] - share[1, p] * factor[1, row, p]
-            im -= share[0, p] * factor[1, row, p] + share[1, p] * factor[0, row, p]
-        near[0, begin + m], near[1, begin + m] = re, im
+            x -= share[0, p] * factor[0, row, p] - share[1, p] * factor[1, row, p]
+            y -= share[0, p] * factor[1, row, p] + share[1, p] * factor[0, row, p]
+        re[m], im[m] = x, y
     # The first neighbor is the cell itself.
-    own = near[0, begin] * near[0, begin] + near[1, begin] * near[1, begin]
+    own = re[0] * re[0] + im[0] * im[0]
     peak, best = np.float32(0), 0
     for j in range(weights.shape[1]):
-        re, im = np.float32(0), np.float32(0)
+        x, y = np.float32(0), np.float32(0)
         for m in range(count):
             a, b = weights[cell, j, m].real, weights[cell, j, m].imag
-            re += near[0, begin + m] * a - near[1, begin + m] * b
-            im += near[0, begin + m] * b + near[1, begin + m] * a
-        value = re * re + im * im
+            x += re[m] * a - im[m] * b
+            y += re[m] * b + im[m] * a
+        value = x * x + y * y
         if value > peak:
             peak, best = value, j
     return own, peak, best
