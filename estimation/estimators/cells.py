@@ -26,13 +26,11 @@ class Cells:
     ----------
     vectors : (C, M)
     neighbors : (C, n) numbers of the most coherent cells, each cell itself first
-    inverse : (C, n, n) inverse Gram matrices of the neighbors
     shifts : (C, J, n) combinations of the neighbors' matched filters that give those of J points about the cell
     """
 
     vectors: Single
     neighbors: Indices
-    inverse: Complex
     shifts: Single
 
     @staticmethod
@@ -46,12 +44,7 @@ class Cells:
         # A trace of ridge: closely packed cells of a small array may be all but dependent.
         inverse = np.linalg.inv(gram + 1e-4 * np.eye(gram.shape[1]))
         weights = points @ around.conj().swapaxes(1, 2) @ inverse.swapaxes(1, 2)
-        return Cells(unit.astype(np.complex64), neighbors, inverse, weights.conj().astype(np.complex64))
-
-    def combination(self, block: Complex, cell: Indices) -> Single:
-        """Weights (P, c, n) with which the neighbors of ``cell`` (P,) give the vectors ``block`` (P, c, M)."""
-        around = self.vectors[self.neighbors[cell]]
-        return np.matmul(np.matmul(block, around.conj().swapaxes(1, 2)), self.inverse[cell].swapaxes(1, 2))
+        return Cells(unit.astype(np.complex64), neighbors, weights.conj().astype(np.complex64))
 
 
 def _normalized(vectors: Complex) -> Complex:

@@ -1,9 +1,9 @@
 """Coarse search of fully digital links: the matched-filter spectrum over delay x speed x AOA x AOD, complete and
 coherent.
 
-The delays come first (by FFT), then every mode is multiplied by its dictionary in turn, a few delays at a time,
-so that intermediate results stay in the cache. Found paths are subtracted in the spectrum itself, as outer
-products of the dictionaries' responses, block by block together with the scan for high cells.
+Speeds and delays come first, then the directions at either end, a few delays at a time, so that intermediate results
+stay in the cache; all of it on folded data (:mod:`~.folding`). Found paths leave the spectrum during the scan for high
+cells, row by row, as outer products of the dictionaries' responses.
 
 Six dimensions of coarse cells leave a path between them with a third of its energy on average. So a high cell is
 judged by its neighborhood: along each mode, the best of a few points between the cells.
@@ -37,7 +37,7 @@ cell, but for rare scalloping.
 TRIFLE = 0.03
 """A known path stays in rows of the spectrum where it has less than this share of the noise variance."""
 PROMISING = 0.7
-"""Cells whose neighborhood has less than this share of an energy do not reach it when refined (1 in 300 do)."""
+"""Cells whose neighborhood has less than this share of an energy do not reach it when refined."""
 MOST = 20_000
 """High cells of one scan; a scan that finds more raises its level."""
 BLOCK = 1 << 16
@@ -45,8 +45,8 @@ BLOCK = 1 << 16
 
 
 class Matched:
-    """Planes of a filtered signal: ``partial`` (2, L, V, N_R, N_T) matched to delays and speeds (folded), ``cells`` (2, L,
-    V, A, D) to everything.
+    """Planes of a filtered signal, folded but for the cells: ``first`` (2, K, V, N_R N_T) matched to speeds, ``partial``
+    (2, L, V, N_R, N_T) to delays also, ``cells`` (2, L, V, A, D) to everything.
     """
 
     def __init__(self, pool: Pool, shape: tuple[int, ...], samples: tuple[int, ...]) -> None:

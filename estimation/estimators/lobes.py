@@ -7,6 +7,7 @@ be in that one: arrays of two rings, for instance, nearly confuse steep elevatio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,37 +84,39 @@ class LobeMap:
         grid indices (P,).
         """
         tau, rate = self.delays[delay], self.speeds[speed]
-        left = np.ones(len(tau), bool)
-        kept: list[int] = []
-        while len(kept) < count and left.any():
-            first = int(np.argmax(left))
-            kept.append(first)
-            squared = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
-            squared += self.arrivals[arrival[first], arrival] + self.departures[departure[first], departure]
-            left &= squared > RADIUS**2
-            left[first] = False
-        return np.array(kept, int)
+
+        def squared(first: int):
+            line = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
+            return line + self.arrivals[arrival[first], arrival] + self.departures[departure[first], departure]
+
+        return _first_of_each(squared, len(tau), count)
 
     def first_of_points(self, points: Geometry, arrival, departure, count: int):
         """The same for ``points`` (P,) between the grid's, given the direction cells they are next to."""
         tau, rate = points.delay * self.scales[0], points.speed * self.scales[1]
-        left = np.ones(len(tau), bool)
-        kept: list[int] = []
-        while len(kept) < count and left.any():
-            first = int(np.argmax(left))
-            kept.append(first)
-            squared = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
-            for vectors, root, cell in (
-                (points.arrival, self.arrival_roots, arrival),
-                (points.departure, self.departure_roots, departure),
-            ):
-                offset = (vectors - vectors[first]) @ root[cell[first]]
+        ends = (points.arrival, self.arrival_roots[arrival]), (points.departure, self.departure_roots[departure])
+
+        def squared(first: int):
+            total = (tau - tau[first]) ** 2 + (rate - rate[first]) ** 2
+            for vectors, root in ends:
+                offset = (vectors - vectors[first]) @ root[first]
                 # Seen along the tangents the far side of the sphere would seem near.
-                far = vectors @ vectors[first] < 0
-                squared += np.where(far, np.inf, np.sum(offset**2, axis=1))
-            left &= squared > RADIUS**2
-            left[first] = False
-        return np.array(kept, int)
+                total += np.where(vectors @ vectors[first] < 0, np.inf, np.sum(offset**2, axis=1))
+            return total
+
+        return _first_of_each(squared, len(tau), count)
+
+
+def _first_of_each(squared: Callable[[int], Float], points: int, count: int):
+    """Positions of up to ``count`` of so many points, each farther than a lobe from those before."""
+    left = np.ones(points, bool)
+    kept: list[int] = []
+    while len(kept) < count and left.any():
+        first = int(np.argmax(left))
+        kept.append(first)
+        left &= squared(first) > RADIUS**2
+        left[first] = False
+    return np.array(kept, int)
 
 
 def roots(metrics: Float, grid: Float) -> Float:

@@ -202,18 +202,23 @@ class Nomp:
                 else:
                     accepted, more = accepted.take([]), False
             if not len(accepted) and lin is not None and len(efforts) == 1:
-                lin = self._split(data, lin, found, statistic, noise)
+                resolved = self._split(data, lin, found, statistic, noise)
+                if resolved is not None:
+                    lin = resolved
+                    continue
             # A quick pass is for paths that stand out; the last of them leaves nothing that would.
             faint = len(statistic) and statistic[0] < FAINT * self.level
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         return data, self._pruned(data, lin, noise), noise
 
-    def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise) -> Linearization:
-        """The paths, one of them in two if that explains its side lobes: candidates, or paths that took their place."""
+    def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise):
+        """The paths with one of them in two, if that explains its side lobes: candidates, or paths that took their
+        place; None otherwise.
+        """
         near = found.take(np.flatnonzero(statistic > SIDE_LOBE * self.level))
         if not len(near):
-            return lin
+            return None
         lobes = [(lin.geometry, path, mode) for _, path, mode in side_lobes(data.model, near, lin)]
         if statistic[0] > self.level:
             # Something is left that no further path explains.
@@ -225,7 +230,7 @@ class Nomp:
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
                 if self._better(grown, lin, noise):
                     return grown
-        return lin
+        return None
 
     def _better(self, grown: Linearization | None, lin: Linearization | None, noise: Noise) -> bool:
         """Whether a fit is progress: it has more paths, or explains more by the worth of one with no more."""
@@ -260,27 +265,25 @@ class Nomp:
         points = self._search.candidates(residual, effort, variance, interest, scale)
         if not len(points):
             return points, np.zeros(0)
-        start = novelty(model, points, lin)
-        cells = self._search.projector(data, residual, lin, points)
-        points, energies = separate_fit(cells, points, variance, interest, novel=start)
-        if start.min() < 0.9:
-            energies = energies / novelty(model, points, lin)
+        points, energies = self._refined(data, residual, lin, points, variance)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
-        if isinstance(self._search, StagedSearch) and len(significant):
+        if isinstance(self._search, StagedSearch) and len(significant) and model.subbands == 1:
             significant = significant[lone(model, points.take(significant), energies[significant])]
             peaks = points.take(significant)
             cells = self._search.projector(data, residual, lin, peaks)
-            rivals = (
-                Geometry.empty()
-                if model.subbands > 1
-                else self._search.alternatives(model, cells, peaks, energies[significant])
-            )
+            rivals = self._search.alternatives(model, cells, peaks, energies[significant])
             if len(rivals):
-                cells = self._search.projector(data, residual, lin, rivals)
-                rivals, rival_energies = separate_fit(cells, rivals, variance, interest)
+                rivals, rival_energies = self._refined(data, residual, lin, rivals, variance)
                 points, energies = points.joined(rivals), np.concatenate([energies, rival_energies])
         order = np.argsort(energies)[::-1]
         return points.take(order), energies[order] / variance
+
+    def _refined(self, data: Projector, residual, lin: Linearization | None, points: Geometry, variance: float):
+        """Points moved to their peaks, and the energies that they would add to what is explained."""
+        fresh = novelty(data.model, points, lin)
+        cells = self._search.projector(data, residual, lin, points)
+        points, energies = separate_fit(cells, points, variance, self.level * variance, novel=fresh)
+        return points, energies if fresh.min() > 0.9 else energies / novelty(data.model, points, lin)
 
     def _accepted(self, model: SignalModel, found: Geometry, statistic) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
