@@ -52,6 +52,8 @@ class Nomp:
     threshold : fixed threshold on rho instead of a false-alarm rate
     dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it (the reported noise
         variance is then relative to that profile, that is 1)
+    resolve : look for close pairs: candidates count by what they add to the known paths, and pairs are tried in place of
+        single paths; sensible once a joint fit has converged
     search_options : further arguments of the coarse search's ``build`` (oversampling, retained, ...)
     """
 
@@ -66,6 +68,7 @@ class Nomp:
     calibration: int = 24
     threshold: float | None = None
     dense_multipath: bool = False
+    resolve: bool = True
     search_options: dict = field(default_factory=dict)
     _search: StagedSearch | DenseSearch | MirroredSearch = field(init=False, repr=False)
     _basis: Bases | None = field(init=False, repr=False)
@@ -201,7 +204,7 @@ class Nomp:
                     lin = grown
                 else:
                     accepted, more = accepted.take([]), False
-            if not len(accepted) and lin is not None and len(efforts) == 1:
+            if not len(accepted) and lin is not None and len(efforts) == 1 and self.resolve:
                 resolved = self._split(data, lin, found, statistic, noise)
                 if resolved is not None:
                     lin = resolved
@@ -280,10 +283,11 @@ class Nomp:
 
     def _refined(self, data: Projector, residual, lin: Linearization | None, points: Geometry, variance: float):
         """Points moved to their peaks, and the energies that they would add to what is explained."""
-        fresh = novelty(data.model, points, lin)
+        known = lin if self.resolve else None
+        fresh = novelty(data.model, points, known)
         cells = self._search.projector(data, residual, lin, points)
         points, energies = separate_fit(cells, points, variance, self.level * variance, novel=fresh)
-        return points, energies if fresh.min() > 0.9 else energies / novelty(data.model, points, lin)
+        return points, energies if fresh.min() > 0.9 else energies / novelty(data.model, points, known)
 
     def _accepted(self, model: SignalModel, found: Geometry, statistic) -> tuple[Geometry, bool]:
         """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""

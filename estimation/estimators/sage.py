@@ -25,9 +25,10 @@ COORDINATES = ((0,), (1, 2), (3, 4), (5,))
 @dataclass(frozen=True, eq=False)
 class Sage(Nomp):
     """SAGE with the parameters of :class:`~estimation.Nomp`, and at most ``cycles`` of refinement after each
-    new path.
+    new path. What an unfinished cycle leaves beside a path is no reason to look for another: ``resolve`` is off.
     """
 
+    resolve: bool = False
     cycles: int = 20
 
     def _fit(
