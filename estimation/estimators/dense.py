@@ -200,8 +200,8 @@ class DenseSearch:
             product(arrival, part.reshape(2, -1, speeds, ports, departures), matched.cells[:, block])
         return Spectrum(matched, self._factors(None, None), np.empty(0))
 
-    def without(self, filtered: Spectrum, blocks: Blocks, gain) -> Spectrum:
-        """The spectrum with given paths taken out of its cells."""
+    def without(self, filtered: Spectrum, blocks: Blocks, gain, spare=None) -> Spectrum:
+        """The spectrum with given paths taken out of its cells; nothing is copied, so no ``spare`` is needed."""
         modes = [mode[:, 0] for mode in blocks[0]]
         energy = np.abs(gain) ** 2 * np.prod([np.sum(np.abs(mode) ** 2, axis=1) for mode in modes], axis=0)
         return replace(filtered, known=self._factors(modes, gain), energy=np.maximum(energy, 1e-300))

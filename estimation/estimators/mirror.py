@@ -58,11 +58,11 @@ class MirroredSearch:
         signal = data.signal
         return self.search.matched(signal[::-1, ::-1].conj().reshape(len(signal), -1, signal.shape[3]))
 
-    def without(self, filtered, blocks: Blocks, gain):
-        """The filtered signal less that of given paths (a new array)."""
+    def without(self, filtered, blocks: Blocks, gain, spare=None):
+        """The filtered signal less that of given paths, in an array of its own or in ``spare``, an earlier result."""
         frequency, time, transmit = (mode[:, :1].conj() for mode in blocks[0])
         time = time.reshape(len(gain), -1, self.ports)[:, ::-1].reshape(len(gain), 1, -1)
-        return self.search.without(filtered, [[frequency[:, :, ::-1], time, transmit]], gain.conj())
+        return self.search.without(filtered, [[frequency[:, :, ::-1], time, transmit]], gain.conj(), spare)
 
     def candidates(
         self,

@@ -184,7 +184,7 @@ class Nomp:
         lin = None
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
-        efforts = self._search.efforts
+        efforts, spare = self._search.efforts, None
         while efforts and (lin is None or len(lin.gain) < self.max_paths):
             variance = noise.variance(lin)
             residual = filtered
@@ -193,7 +193,7 @@ class Nomp:
                 rest = data.signal - signal_of(model, lin.blocks, lin.gain)
                 residual = self._search.filtered(Projector(model, rest, self._basis))
             elif lin is not None:
-                residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain)
+                spare = residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain, spare)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
             accepted, more = self._accepted(model, found, statistic)
             if len(accepted):

@@ -176,8 +176,8 @@ class StagedSearch:
             signal = signal[:, self.gather]
         return self.delay.apply(signal.reshape(len(signal), -1)).reshape(len(self.delay.delays), self.snapshots, -1)
 
-    def without(self, filtered, blocks: Blocks, gain):
-        """The filtered signal less that of given paths (a new array)."""
+    def without(self, filtered, blocks: Blocks, gain, spare=None):
+        """The filtered signal less that of given paths, in an array of its own or in ``spare``, an earlier result."""
         modes = blocks[0]
         left = self.delay.apply((modes[0][:, 0] * gain[:, None]).T.astype(C64))
         right = modes[1][:, 0].astype(C64)
@@ -186,7 +186,8 @@ class StagedSearch:
         if self.gather is not None:
             right = right.reshape(len(gain), len(self.gather), -1)[:, self.gather].reshape(len(gain), -1)
         rows = filtered.reshape(len(filtered), -1)
-        return subtracted(rows, left.T, right, np.empty_like(rows)).reshape(filtered.shape)
+        out = np.empty_like(rows) if spare is None else spare.reshape(rows.shape)
+        return subtracted(rows, left.T, right, out).reshape(filtered.shape)
 
     def candidates(
         self,
