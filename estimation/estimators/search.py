@@ -116,8 +116,8 @@ class StagedSearch:
         departure_view: View,
         oversampling: float = 1.5,
         retained: float = 0.7,
-        keep_cells: int = 4000,
-        keep_pairs: int = 4000,
+        keep_cells: int = 6000,
+        keep_pairs: int = 6000,
         candidates: int = 10,
     ) -> StagedSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
