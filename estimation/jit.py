@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numba
 
 
-def compiled(function):
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``numba.njit`` with an on-disk cache where one can be kept, without otherwise."""
     options = {"nogil": True, "fastmath": True, "error_model": "numpy"}
     try:

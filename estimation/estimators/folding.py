@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ..signal.algebra import project_rest
 from ..signal.arrays import Complex, Manifold
@@ -42,7 +42,7 @@ class Pairs:
         """Pairs among ``places`` (M, d); none unless they are symmetric about the origin."""
         places = np.asarray(places, float)
         own = np.arange(len(places))
-        distance, partner = cKDTree(places).query(-places)
+        distance, partner = KDTree(places).query(-places)
         if distance.max() > 1e-6 * max(np.abs(places).max(), 1e-300) or np.any(partner[partner] != own):
             return Pairs.none(len(places))
         first = own[partner > own]
