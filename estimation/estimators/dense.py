@@ -115,7 +115,7 @@ class DenseSearch:
         departure_view: View,
         oversampling: float = 1.25,
         retained: float = 0.5,
-        candidates: int = 12,
+        candidates: int = 8,
     ) -> DenseSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform = model.waveform
