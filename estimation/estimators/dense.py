@@ -198,7 +198,7 @@ class DenseSearch:
             block = slice(start, start + count)
             part = product_right(partial[:, block].reshape(2, -1, elements), departure)
             product(arrival, part.reshape(2, -1, speeds, ports, departures), matched.cells[:, block])
-        return Spectrum(matched, self._factors(None, None), np.empty(0))
+        return Spectrum(matched, tuple(np.empty((0, size), C64) for size in self.shape), np.empty(0))
 
     def without(self, filtered: Spectrum, blocks: Blocks, gain, spare=None) -> Spectrum:
         """The spectrum with given paths taken out of its cells; nothing is copied, so no ``spare`` is needed."""
@@ -208,11 +208,9 @@ class DenseSearch:
 
     def _factors(self, modes, gain) -> tuple[Single, Single, Single, Single]:
         """Responses of the dictionaries to paths, in the layout of :class:`Spectrum`."""
-        if modes is None:
-            return tuple(np.empty((0, size), C64) for size in self.shape)
         frequency, *rest = modes
-        scale = gain[:, None] / np.sqrt(frequency.shape[1])
         if self.filters[0] is None:
+            scale = gain[:, None] / np.sqrt(frequency.shape[1])
             first = np.ascontiguousarray(self.delay.apply((frequency * scale).T.astype(C64)).T)
         else:
             first = (frequency * gain[:, None] @ self.cells[0].vectors.conj().T).astype(C64)

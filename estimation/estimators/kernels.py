@@ -8,6 +8,7 @@ from ..jit import compiled
 
 AHEAD = 64
 """Cells whose neighbors are fetched together."""
+HALF = np.float32(np.sqrt(0.5))
 
 
 @compiled
@@ -108,7 +109,7 @@ def folded(signal, pilots, symbols, ports, elements, mirrored, out):
 
 @compiled
 def _fold_rows(re, im, i, j):
-    half = np.float32(0.70710678)
+    half = HALF
     a, b, c, d = re[i], im[i], re[j], im[j]
     for m in range(len(a)):
         x, y = a[m] - c[m], b[m] - d[m]
@@ -120,7 +121,7 @@ def _fold_rows(re, im, i, j):
 
 @compiled
 def _fold_mirrored(x, y, u, v):
-    half, last, count = np.float32(0.70710678), len(x) - 1, len(x) // 2
+    half, last, count = HALF, len(x) - 1, len(x) // 2
     for t in range(count):
         u[t] = half * (x[t] + x[last - t])
         v[t] = half * (y[t] + y[last - t])
@@ -133,7 +134,7 @@ def _fold_mirrored(x, y, u, v):
 
 @compiled
 def _fold_tabled(x, y, elements, u, v):
-    half, count = np.float32(0.70710678), len(elements[0])
+    half, count = HALF, len(elements[0])
     if count == 0:
         u[:], v[:] = x, y
         return

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..signal.algebra import Blocks
-from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
@@ -64,16 +63,11 @@ class MirroredSearch:
         time = time.reshape(len(gain), -1, self.ports)[:, ::-1].reshape(len(gain), 1, -1)
         return self.search.without(filtered, [[frequency[:, :, ::-1], time, transmit]], gain.conj(), spare)
 
-    def candidates(
-        self,
-        filtered,
-        effort: Effort,
-        variance: float = 0.0,
-        interest: float = np.inf,
-        scale: Float | None = None,
-    ) -> Geometry:
-        """The best mutually incoherent grid points in a filtered residual, strongest first."""
-        found = self.search.candidates(filtered, effort, variance, interest, scale)
+    def candidates(self, filtered, effort: Effort, *limits) -> Geometry:
+        """The best mutually incoherent grid points in a filtered residual, strongest first; ``limits`` as in
+        :meth:`StagedSearch.candidates`.
+        """
+        found = self.search.candidates(filtered, effort, *limits)
         return replace(found, arrival=found.departure, departure=found.arrival)
 
     def projector(self, data, filtered, lin, points: Geometry) -> ResidualProjector:

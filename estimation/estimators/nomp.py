@@ -71,7 +71,7 @@ class Nomp:
     resolve: bool = True
     search_options: dict = field(default_factory=dict)
     _search: StagedSearch | DenseSearch | MirroredSearch = field(init=False, repr=False)
-    _basis: Bases | None = field(init=False, repr=False)
+    _basis: Bases = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

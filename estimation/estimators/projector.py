@@ -74,20 +74,21 @@ def common_phase(vectors: Complex):
 
 @dataclass(frozen=True, eq=False)
 class Bases:
-    """Bases of the windows of a link: over pilots, and over symbols if it is digital."""
+    """How a link's data fold, and bases of their windows: over pilots, and over symbols if it is digital; None where
+    compression does not pay.
+    """
 
     folding: Folding
-    delay: Basis
+    delay: Basis | None
     time: Basis | None
     pool: Pool = field(default_factory=Pool, repr=False)
 
     @staticmethod
-    def build(model: SignalModel) -> Bases | None:
-        """None where compression does not pay."""
-        waveform = model.waveform
+    def build(model: SignalModel) -> Bases:
+        """Bases of a link."""
+        waveform, folding = model.waveform, Folding.build(model)
         if model.subbands > 1 or waveform.subcarriers < 24:
-            return None
-        folding = Folding.build(model)
+            return Bases(folding, None, None)
         delay = Basis.build(-2j * np.pi * waveform.frequencies, folding.axes[0])
         digital = model.schedule.precoders is None and model.schedule.combiners is None
         times = model.schedule.times
@@ -117,9 +118,9 @@ class Projector:
     def inner(self, geometry: Geometry, blocks: Blocks):
         """``<d_a s_p, y>`` (P, 7) of signatures (``a = 0``) and their six derivatives."""
         bases = self._bases
-        if bases is None:
+        if bases is None or bases.delay is None:
             return project(self.model, self.signal, blocks)
-        window = self._window_of(geometry, bases)
+        window = self._window_of(geometry, bases, bases.delay)
         inside = bases.delay.inside(geometry.delay - self._delays[window]).conj()
         partial = np.empty((2, *inside.shape[:2], self._windows[0].shape[2]), np.float32)
         for p, w in enumerate(window):
@@ -132,11 +133,11 @@ class Projector:
         folded = [axis.steering(mode) for axis, mode in zip(bases.folding.arrays, rest, strict=True)]
         return project_planes(self.model, partial, [frequency, time, *folded])
 
-    def _window_of(self, geometry: Geometry, bases: Bases):
+    def _window_of(self, geometry: Geometry, bases: Bases, basis: Basis):
         window = np.empty(len(geometry), int)
         fresh = len(self._delays)
         for p, (delay, speed) in enumerate(zip(geometry.delay, geometry.speed, strict=True)):
-            known = np.abs(self._delays - delay) / bases.delay.half
+            known = np.abs(self._delays - delay) / basis.half
             if bases.time is not None:
                 known = np.maximum(known, np.abs(self._speeds - speed) / bases.time.half)
             if not len(known) or known.min() > 1:
@@ -145,7 +146,7 @@ class Projector:
             else:
                 window[p] = int(np.argmin(known))
         if fresh < len(self._delays):
-            planes, matrix = self.planes, bases.delay.compressors(self._delays[fresh:])
+            planes, matrix = self.planes, basis.compressors(self._delays[fresh:])
             count, rank, pilots = matrix.shape
             block = product(matrix.reshape(-1, pilots), planes.reshape(2, pilots, -1))
             if bases.time is not None:
