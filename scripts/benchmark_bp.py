@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from dopslam.slam.bp.timing import growth, seconds_per_step
+from dopslam.studies.bp_timing import growth, seconds_per_step
 
 
 def main() -> None:

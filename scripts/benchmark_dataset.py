@@ -25,7 +25,7 @@ SETTINGS = ["trace.samples=20000"]
 
 def measure(positions: int) -> dict:
     """One dataset, made and thrown away."""
-    from dopslam.config import load
+    from dopslam.config.scenario import load
     from dopslam.datasets import generate, make_plan, maker, shard
 
     bare = {"cpu": 0.0, "wall": 0.0}
@@ -70,9 +70,9 @@ def reading(rows: int = 1_000_000) -> dict:
     """Speeds in MB/s of wall time, the best of several, of a file that lies in the memory of the operating system."""
     import h5py
 
-    from dopslam import columns as module
-    from dopslam import dataset
     from dopslam.records import Paths
+    from dopslam.store import columns as module
+    from dopslam.store import file as dataset
 
     rng = np.random.default_rng(0)
     columns = {n: rng.normal(size=rows) for n in ("tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler")}

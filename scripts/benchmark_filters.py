@@ -10,11 +10,11 @@ import argparse
 import json
 from dataclasses import replace
 
-from dopslam.benchmark import growth, microseconds_per_step
-from dopslam.montecarlo import Study
-from dopslam.simulate import section_v
-from dopslam.slam.pmb import FilterParameters
-from dopslam.slam.smoother import SmootherParameters
+from dopslam.simulate.world import section_v
+from dopslam.slam.pmb.density import FilterParameters
+from dopslam.slam.pmb.smoother import SmootherParameters
+from dopslam.studies.benchmark import growth, microseconds_per_step
+from dopslam.studies.montecarlo import Study
 
 
 def main() -> None:

@@ -17,11 +17,13 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
-from dopslam import build, geometry, pipeline
-from dopslam.config import load
-from dopslam.montecarlo import run_study
+from dopslam import problem as build
+from dopslam.config.scenario import load
+from dopslam.pipeline import stages as pipeline
+from dopslam.raytracing import images as geometry
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths, Track
-from dopslam.studies import study
+from dopslam.studies.montecarlo import run_study
+from dopslam.studies.summary import study
 
 
 def timed(function, *arguments):

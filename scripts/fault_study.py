@@ -28,9 +28,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import dataset
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
+from dopslam.store import file as dataset
 
 TYPES = {kind.__name__: kind for kind in (Track, Landmarks, Paths, DetectionSeries)}
 TIMEOUT = 60  # s, for reading one small file
@@ -39,8 +39,8 @@ FILE = "manifest.json"  # not imported: every reading process would load the who
 
 def make_file(path: Path) -> None:
     """A small dataset file with every kind of record, drawn from the measurement model, and a signal."""
-    from dopslam import stages
-    from dopslam.config import load
+    from dopslam.config.scenario import load
+    from dopslam.pipeline import file as stages
 
     stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=10"]), 0)
     rng, count = np.random.default_rng(0), 60
@@ -107,7 +107,7 @@ def mutate(files: int, seed: int) -> dict:
     """Counts of what happened to the files."""
     rng, counts, wrong = np.random.default_rng(seed), {"error": 0, "same": 0}, []
     context = get_context("forkserver")  # a clean parent: a fork of this process may inherit a held lock
-    context.set_forkserver_preload(["dopslam.dataset"])
+    context.set_forkserver_preload(["dopslam.store.file"])
     with tempfile.TemporaryDirectory() as folder:
         original, copy = Path(folder) / "d.h5", Path(folder) / "m.h5"
         make_file(original)

@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import stages
+from dopslam.pipeline import file as stages
 from dopslam.report import study_figures
-from dopslam.report.bp_figures import association_errors, belief_map, errors_over_time, feature_names, type_beliefs
 from dopslam.report.figures import errors_over_time as traced_errors
 from dopslam.report.figures import save_all
 from dopslam.report.folder import write_json
-from dopslam.slam.bp import range_study
-from dopslam.slam.bp.cases import CASES, run_case
-from dopslam.slam.bp.experiment import draw
-from dopslam.slam.bp.run import run
-from dopslam.slam.bp.study import start_box, summary
-from dopslam.slam.loopy_study import error_distribution
+from dopslam.slam.belief.experiment import draw
+from dopslam.studies import distance_only as range_study
+from dopslam.studies.bp_cases import CASES, run_case
+from dopslam.studies.bp_figures import association_errors, belief_map, errors_over_time, feature_names, type_beliefs
+from dopslam.studies.bp_run import run
+from dopslam.studies.bp_study import start_box, summary
+from dopslam.studies.loopy import error_distribution
 
 
 def main() -> None:

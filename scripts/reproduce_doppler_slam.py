@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dopslam.cli.common import worker_count
 from dopslam.report.folder import write_json
-from dopslam.reproduction import PAPER_WEIGHTS, reproduce
+from dopslam.studies.doppler_slam import PAPER_WEIGHTS, reproduce
 
 
 def main() -> None:

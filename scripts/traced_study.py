@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import pipeline, stages
 from dopslam.cli.common import progress_display, worker_count
-from dopslam.config import load
+from dopslam.config.scenario import load
+from dopslam.pipeline import file as stages
+from dopslam.pipeline import stages as pipeline
 from dopslam.report import figures, study_figures
 from dopslam.report.folder import write_json, write_text
 from dopslam.report.tables import study_text
-from dopslam.traced_study import NOISES, study
+from dopslam.studies.traced import NOISES, study
 
 DRAWN = ("joint", "marginal", "bp, no Doppler")
 

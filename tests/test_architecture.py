@@ -63,31 +63,14 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {
-        "errors",
-        "records",
-        "compiled",
-        "llvm",
-        "geometry",
-        "config",
-        "dataset_config",
-        "belief_config",
-        "polygon",
-        "schema",
-        "columns",
-        "metrics",
-        "radio",
-        "dataset",
-    },
+    {"errors", "records", "compiled", "llvm", "config", "store", "link", "cluster"},
     {"models", "raytracing"},
-    {"slam", "simulate", "bounds"},
-    {"build", "evaluation", "matching", "report"},
+    {"slam", "simulate", "evaluate"},
+    {"problem", "report"},
     {"pipeline"},
-    {"tracks", "datasets", "cluster", "foreign"},
-    {"drives"},
-    {"export"},
-    {"stages", "studies", "montecarlo", "bp_montecarlo", "benchmark", "reproduction"},
-    {"traced_study", "sweep"},
+    {"datasets"},
+    {"formats"},
+    {"studies"},
     {"cli"},
 ]
 

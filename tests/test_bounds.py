@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam import bounds
-from dopslam.bounds import detection_mask, doppler_contribution, pcrb, situation_bound
+from dopslam.evaluate import bounds
+from dopslam.evaluate.bounds import detection_mask, doppler_contribution, pcrb, situation_bound
 from dopslam.models.measurement import jacobians
 from dopslam.models.motion import transition_jacobian
-from dopslam.simulate import noise_of, nominal_track, section_v, simulate, unknown_motion
+from dopslam.simulate.world import noise_of, nominal_track, section_v, simulate, unknown_motion
 
 REFERENCE = Path(__file__).parent / "data" / "pcrb_open.csv"
 COLUMNS = ["LEB_VA0", "LEB_VA1", "LEB_VA2", "LEB_VA3", "LEB_SP0", "LEB_SP1", "LEB_SP2", "LEB_SP3"]

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam.bp_montecarlo import case_of
 from dopslam.cli import main
-from dopslam.config import load, shipped_scenes
+from dopslam.config.scenario import load, shipped_scenes
 from dopslam.errors import ConfigError, FilterError
-from dopslam.slam.bp.cases import CASES, Case, run_case
-from dopslam.slam.bp.experiment import Experiment
-from dopslam.slam.bp.rao_blackwell import RaoBlackwell
-from dopslam.slam.bp.stacked import Stacked
-from dopslam.slam.bp.study import summary
+from dopslam.slam.belief.experiment import Experiment
+from dopslam.slam.belief.rao_blackwell import RaoBlackwell
+from dopslam.slam.belief.stacked.stacked import Stacked
+from dopslam.studies.bp import case_of
+from dopslam.studies.bp_cases import CASES, Case, run_case
+from dopslam.studies.bp_study import summary
 
 PEDESTRIAN = shipped_scenes()["pedestrian"]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dopslam.config import find_scenario, load, override, parse, shipped_scenes
+from dopslam.config.scenario import find_scenario, load, override, parse, shipped_scenes
 from dopslam.errors import ConfigError
 
 

@@ -7,9 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from dopslam import columns, dataset
 from dopslam.errors import DatasetError
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track, same
+from dopslam.store import columns
+from dopslam.store import file as dataset
 
 
 def make_track(steps=3):

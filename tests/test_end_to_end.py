@@ -6,12 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from dopslam import dataset, stages
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.errors import SceneError
+from dopslam.pipeline import file as stages
 from dopslam.records import DetectionSeries, Landmarks, same
 from dopslam.report.tables import study_text
-from dopslam.traced_study import study
+from dopslam.store import file as dataset
+from dopslam.studies.traced import study
 
 pytestmark = pytest.mark.rt
 SHORT = ["track.steps=4"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dopslam.geometry import (
+from dopslam.raytracing.images import (
     distance_to_triangles,
     isometry,
     mirror,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dopslam.metrics import gospa, nees, rmse_over_bound, squared_errors, state_errors
+from dopslam.evaluate.metrics import gospa, nees, rmse_over_bound, squared_errors, state_errors
 
 
 def by_enumeration(truth, estimate, c, p):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from dopslam.cli import main
-from dopslam.metrics import nees, state_errors
+from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.scans import Scans
-from dopslam.montecarlo import Study, correct_association_weight, run_once, run_study, summarize
-from dopslam.simulate import section_v, simulate
-from dopslam.slam import ek_pmb
-from dopslam.slam.ek_pmb import Diagnostics, FilterParameters
+from dopslam.simulate.world import section_v, simulate
 from dopslam.slam.history import history_of
+from dopslam.slam.pmb import ek_pmb
+from dopslam.slam.pmb.ek_pmb import Diagnostics, FilterParameters
+from dopslam.studies.montecarlo import Study, correct_association_weight, run_once, run_study, summarize
 
 RUNS = 60
 mc = pytest.mark.mc
@@ -85,7 +85,7 @@ def test_wrong_assumptions_leave_the_band(control, low, high):
 @mc
 def test_a_wrong_speed_breaks_the_known_speed_filter_only():
     """A 2 % error in an assumed-known speed, side by side with speed and turn rate in the state."""
-    from dopslam.simulate import unknown_motion
+    from dopslam.simulate.world import unknown_motion
 
     truth = section_v()
     wrong = replace(truth.motion, speed=1.02 * truth.motion.speed)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
-from dopslam.metrics import state_errors
+from dopslam.evaluate.metrics import state_errors
 from dopslam.models.measurement import SP, measure, residual
 from dopslam.models.motion import propagate
-from dopslam.simulate import (
+from dopslam.simulate.world import (
     SnrNoise,
     draw_track,
     generators,

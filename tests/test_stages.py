@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from dopslam import dataset, stages
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.errors import DatasetError
+from dopslam.pipeline import file as stages
 from dopslam.records import DetectionSeries, Track, same
+from dopslam.store import file as dataset
 
 
 @pytest.fixture

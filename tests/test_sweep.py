@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from dopslam import sweep
 from dopslam.errors import ConfigError
+from dopslam.studies import sweep
 
 TEXT = """
 scenario = "ring_road"

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from dopslam import pipeline, tracks
-from dopslam.config import load
+from dopslam.config.scenario import load
+from dopslam.datasets import tracks
+from dopslam.datasets.polygon import clearance
 from dopslam.errors import ConfigError
-from dopslam.polygon import clearance
+from dopslam.pipeline import stages as pipeline
 from dopslam.records import same
 
 L_SHAPE = [[0, 0], [90, 0], [90, 40], [40, 40], [40, 90], [0, 90]]

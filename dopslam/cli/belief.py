@@ -18,12 +18,12 @@ def belief_study(
     from rich.console import Console
     from rich.table import Table
 
-    from dopslam.bp_montecarlo import case_of
     from dopslam.cli.common import progress_display
-    from dopslam.config import load
+    from dopslam.config.scenario import load
     from dopslam.report.folder import write_json
-    from dopslam.slam.bp.cases import run_case
-    from dopslam.slam.bp.study import summary
+    from dopslam.studies.bp import case_of
+    from dopslam.studies.bp_cases import run_case
+    from dopslam.studies.bp_study import summary
 
     scenario = load(scene, settings)
     case = case_of(scenario)

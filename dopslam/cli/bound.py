@@ -54,16 +54,16 @@ def bound(
     if Path(scene).is_file() and Path(scene).suffix != ".toml":
         if std is not None or csv is not None:
             raise ConfigError(f"{scene}: a dataset's bound uses its own R; leave out a numeric --doppler-std and --csv")
-        from dopslam import stages
+        from dopslam.pipeline import file as stages
 
         stages.bound(Path(scene), overrides(settings), doppler)
         used = "with" if doppler else "without"
         console.print(f"{scene}: bound added ({used} Doppler, the run's own detections and R)")
         return
-    from dopslam import build
-    from dopslam.config import load
+    from dopslam import problem as build
+    from dopslam.config.scenario import load
     from dopslam.report.folder import write_text
-    from dopslam.studies import bound_table, contribution_table, nominal_bound
+    from dopslam.studies.summary import bound_table, contribution_table, nominal_bound
 
     reach = _visibility(visibility)
     scenario = load(scene, overrides(settings))

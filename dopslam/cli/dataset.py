@@ -53,7 +53,7 @@ def dataset(
 
     from dopslam.cli.bars import timed_bars
     from dopslam.cluster import workers
-    from dopslam.config import load
+    from dopslam.config.scenario import load
     from dopslam.datasets import generate, make_plan
 
     scenario = load(scene, overrides(settings))

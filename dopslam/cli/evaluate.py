@@ -21,7 +21,7 @@ def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = Non
     """
     from rich.console import Console
 
-    from dopslam import stages
+    from dopslam.pipeline import file as stages
     from dopslam.report import tables
 
     summary, evaluations = stages.evaluate(dataset, overrides(settings))

@@ -31,7 +31,7 @@ def export(
     """
     from rich.console import Console
 
-    from dopslam.export import export as write
+    from dopslam.formats.export import export as write
 
     files = write(source, out, to, drive)
     Console(highlight=False, soft_wrap=True).print(f"{out}: {len(files)} files, {files[0].name} …")

@@ -26,7 +26,7 @@ def import_(
     table
         CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
     mapping
-        TOML that says what the columns mean; see the documentation of dopslam.foreign.
+        TOML that says what the columns mean; see the documentation of dopslam.formats.table.
     scenario
         Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
     out
@@ -38,9 +38,12 @@ def import_(
     """
     from rich.console import Console
 
-    from dopslam import build, dataset, foreign, tracks
-    from dopslam.config import load
+    from dopslam import problem as build
+    from dopslam.config.scenario import load
+    from dopslam.datasets import tracks
     from dopslam.errors import DatasetError
+    from dopslam.formats import table as foreign
+    from dopslam.store import file as dataset
 
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")

@@ -16,7 +16,7 @@ def info(dataset: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from dopslam.dataset import describe
+    from dopslam.store.file import describe
 
     if dataset.is_dir():
         _folder(dataset)

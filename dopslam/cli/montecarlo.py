@@ -67,10 +67,10 @@ def montecarlo(
     from rich.table import Table
 
     from dopslam.cluster import workers
-    from dopslam.config import load
-    from dopslam.montecarlo import run_study, summarize, warm_up
+    from dopslam.config.scenario import load
     from dopslam.report.folder import write_json
-    from dopslam.studies import study
+    from dopslam.studies.montecarlo import run_study, summarize, warm_up
+    from dopslam.studies.summary import study
 
     doppler, std = doppler_choice(doppler_std)
     plan = study(load(scene, overrides(settings)), filter_name, prior, doppler, std)

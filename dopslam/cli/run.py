@@ -50,8 +50,8 @@ def run(
     """
     from rich.console import Console
 
-    from dopslam import stages
-    from dopslam.config import load
+    from dopslam.config.scenario import load
+    from dopslam.pipeline import file as stages
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)

@@ -8,7 +8,7 @@ def scenes() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from dopslam.config import load, shipped_scenes
+    from dopslam.config.scenario import load, shipped_scenes
 
     table = Table("scene", "what it is", "steps", "scatter points", box=None)
     for name, folder in shipped_scenes().items():

@@ -25,8 +25,8 @@ def simulate(
     settings
         Override a scenario key.
     """
-    from dopslam import stages
-    from dopslam.config import load
+    from dopslam.config.scenario import load
+    from dopslam.pipeline import file as stages
 
     flags = overrides(settings, source__kind="model", source__model__doppler_std=doppler_std and str(doppler_std))
     stages.simulate(out, load(scene, flags), seed)

@@ -31,7 +31,7 @@ def slam(
     settings
         Override a scenario key, for instance --set filter.associations=1.
     """
-    from dopslam import stages
+    from dopslam.pipeline import file as stages
 
     used, _ = doppler_choice(doppler_std)
     stages.slam(dataset, overrides(settings), density, used)

@@ -14,7 +14,7 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     Parameters
     ----------
     file
-        TOML with scenario, runs, seed and the table [vary]; see the documentation of dopslam.sweep.
+        TOML with scenario, runs, seed and the table [vary]; see the documentation of dopslam.studies.sweep.
     out
         Folder to make: table.csv, sweep.json, sweep.png.
     jobs
@@ -25,11 +25,11 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     from rich.console import Console
     from rich.table import Table
 
-    from dopslam import sweep as library
     from dopslam.cli.bars import timed_bars
     from dopslam.cluster import workers
     from dopslam.errors import DatasetError
     from dopslam.report.folder import write_json, write_text
+    from dopslam.studies import sweep as library
 
     plan = library.read_sweep(file)
     if out.exists():

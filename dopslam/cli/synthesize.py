@@ -17,7 +17,7 @@ def synthesize(dataset: Path, *, settings: Settings = None) -> None:
     settings
         Override a scenario key, for instance --set source.traced.transmit_power_dbm=3.
     """
-    from dopslam import stages
+    from dopslam.pipeline import file as stages
 
     with progress_display() as progress:
         stages.synthesize(dataset, overrides(settings), progress)

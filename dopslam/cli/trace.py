@@ -21,8 +21,8 @@ def trace(scene: str, *, out: Path, seed: int = 0, settings: Settings = None) ->
     settings
         Override a scenario key, for instance --set trace.max_depth=2; may be repeated.
     """
-    from dopslam import stages
-    from dopslam.config import load
+    from dopslam.config.scenario import load
+    from dopslam.pipeline import file as stages
 
     with progress_display() as progress:
         stages.trace(out, load(scene, overrides(settings)), seed, progress)

@@ -1,7 +1,7 @@
 """Large datasets: a folder of shards of bounded size and a manifest, made in any order by any number of processes.
 
     DIR/manifest.json       what is made, of which scenario and seed; when complete, the sha256 of every shard's content
-    DIR/shard-00000.h5 …    dataset files (see :mod:`dopslam.schema`) with track, steps, landmarks, paths and what was
+    DIR/shard-00000.h5 …    dataset files (see :mod:`dopslam.store.schema`) with track, steps, landmarks, paths and what was
     asked for
 
 Every shard depends on the scenario, the seed and its own number only. Neither hashes nor manifest hold times, hosts

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import dataset
-from dopslam.config import parse
+from dopslam.config.scenario import parse
 from dopslam.datasets.manifest import FILE, Manifest, read_manifest
 from dopslam.datasets.plan import shard_file
 from dopslam.datasets.shard import inspect_shard
+from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
-from dopslam.pipeline import Progress, quiet
+from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
-from dopslam.tracks import Steps
+from dopslam.store import file as dataset
 
 TYPES = {kind.__name__: kind for kind in (Track, Steps, Landmarks, Paths, DetectionSeries, FloorPlan)}
 LENGTH_TOLERANCE = 1e-6  # m, between a delay and the length along its interaction points

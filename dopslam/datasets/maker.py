@@ -7,15 +7,15 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from dopslam import tracks
-from dopslam.config import Scenario
+from dopslam.config.scenario import Scenario
+from dopslam.datasets import tracks
 from dopslam.datasets.locks import FOLDER as LOCKS
 from dopslam.datasets.locks import claim
 from dopslam.datasets.manifest import FILE, Manifest, ShardEntry, read_manifest, write_manifest
 from dopslam.datasets.plan import Plan, shard_file
 from dopslam.datasets.shard import WORK, ShardTracer, inspect_shard, make_shard
 from dopslam.errors import DatasetError
-from dopslam.pipeline import Progress, quiet
+from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import Landmarks
 
 

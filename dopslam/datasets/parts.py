@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import dataset
-from dopslam.config import Scenario, parse
+from dopslam.config.scenario import Scenario, parse
 from dopslam.datasets.manifest import read_manifest
+from dopslam.datasets.tracks import Steps
 from dopslam.errors import DatasetError
 from dopslam.records import Landmarks, Paths, Track
-from dopslam.tracks import Steps
+from dopslam.store import file as dataset
 
 
 @dataclass(frozen=True)

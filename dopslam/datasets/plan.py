@@ -6,9 +6,10 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from dopslam import radio, tracks
-from dopslam.config import Scenario
-from dopslam.dataset_config import DatasetConfig
+from dopslam import link as radio
+from dopslam.config.drives import DatasetConfig
+from dopslam.config.scenario import Scenario
+from dopslam.datasets import tracks
 from dopslam.errors import ConfigError, DatasetError
 
 

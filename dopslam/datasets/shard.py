@@ -16,15 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from dopslam import dataset, pipeline, radio
-from dopslam.config import Scenario, parse
+from dopslam import link as radio
+from dopslam.config.scenario import Scenario, parse
 from dopslam.datasets.manifest import ShardEntry, sync_folder
 from dopslam.datasets.plan import Plan, shard_file
+from dopslam.datasets.tracks import Steps, Tracks
 from dopslam.errors import DatasetError
-from dopslam.pipeline import Component, Progress, quiet
+from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.stages import Component, Progress, quiet
 from dopslam.records import Landmarks, Paths, Track
 from dopslam.report.folder import versions
-from dopslam.tracks import Steps, Tracks
+from dopslam.store import file as dataset
 
 RECORDS = {"track": Track, "steps": Steps, "landmarks": Landmarks, "paths": Paths}
 

@@ -14,7 +14,7 @@ from itertools import permutations
 
 import numpy as np
 
-from dopslam.geometry import isometry, mirror_images
+from dopslam.raytracing.images import isometry, mirror_images
 from dopslam.raytracing.surfaces import Surfaces
 from dopslam.records import Kind, Landmarks
 

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from dopslam.errors import SceneError
-from dopslam.geometry import distance_to_triangles, triangle_planes, winding_number
+from dopslam.raytracing.images import distance_to_triangles, triangle_planes, winding_number
 
 NORMAL_TOLERANCE = 2e-4  # rad
 OFFSET_TOLERANCE = 5e-3  # m

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dopslam.errors import SceneError
-from dopslam.geometry import PathGeometry, reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.raytracing.backend import backend
+from dopslam.raytracing.images import PathGeometry, reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.raytracing.landmarks import Naming, landmarks_of
 from dopslam.raytracing.mends import CountingSolver, Receivers
 from dopslam.raytracing.scene import LoadedScene, SceneSource, load_scene

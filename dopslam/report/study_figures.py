@@ -18,7 +18,7 @@ def errors_over_runs(curves: dict[str, dict], line_of_sight: np.ndarray) -> Figu
 
     Parameters
     ----------
-    curves : label → the ``steps`` columns of :func:`dopslam.traced_study.study`; the bound is the first one's
+    curves : label → the ``steps`` columns of :func:`dopslam.studies.traced.study`; the bound is the first one's
     line_of_sight : (K,) share of the runs with a line of sight; steps where most have none are shaded
     """
     figure = Figure(figsize=(7.0, 5.0))

@@ -57,7 +57,7 @@ def as_text(table: Table) -> str:
 
 
 def study_text(result: dict) -> str:
-    """Tables of a traced study (``dopslam.traced_study.study``) as Markdown: estimator, filters, gain of Doppler."""
+    """Tables of a traced study (``dopslam.studies.traced.study``) as Markdown: estimator, filters, gain of Doppler."""
     d = result["detections"]
     bands = ", ".join(f"{band} dB: {b['found']}/{b['of']}" for band, b in d["found_by_rho_db"].items() if b["of"])
     sight = sum(result["line_of_sight"]) / len(result["line_of_sight"])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_vector
-from dopslam.slam.pmb import PMB
+from dopslam.slam.pmb.density import PMB
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import time
 import pytest
 
 from dopslam import cluster
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.datasets import maker
 from dopslam.errors import DopslamError
-from dopslam.montecarlo import run_study
-from dopslam.studies import study
+from dopslam.studies.montecarlo import run_study
+from dopslam.studies.summary import study
 
 
 def free_port():

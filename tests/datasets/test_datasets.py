@@ -13,13 +13,13 @@ import h5py
 import numpy as np
 import pytest
 
-from dopslam import dataset
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.datasets import check, make_plan, read_manifest
 from dopslam.datasets.shard import expected_groups
+from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError
 from dopslam.records import Landmarks, Paths, Track, same
-from dopslam.tracks import Steps
+from dopslam.store import file as dataset
 
 
 def content(folder):

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from dopslam import dataset, drives, stages, tracks
-from dopslam.config import load
+from dopslam.config.scenario import load
+from dopslam.datasets import drives, tracks
 from dopslam.datasets.parts import parts_of
 from dopslam.errors import DatasetError
-from dopslam.export import export
+from dopslam.formats.export import export
+from dopslam.pipeline import file as stages
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track, same
+from dopslam.store import file as dataset
 
 SMALL = [
     "radio.subcarriers=32", "radio.beams.beams=4", "radio.beams.sweeps=2", "receiver.array.columns=4",

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from dopslam import dataset, export
 from dopslam.errors import DatasetError
+from dopslam.formats import export
 from dopslam.records import Landmarks, Paths, Track
+from dopslam.store import file as dataset
 
 
 @pytest.fixture(scope="module")

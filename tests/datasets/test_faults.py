@@ -12,10 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dopslam import dataset, stages
-from dopslam.config import Scenario, load, parse
+from dopslam.config.scenario import Scenario, load, parse
 from dopslam.errors import ConfigError, DatasetError, DopslamError
+from dopslam.pipeline import file as stages
 from dopslam.records import DetectionSeries
+from dopslam.store import file as dataset
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "fault_study.py"
 

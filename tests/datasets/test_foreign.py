@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from dopslam import dataset, foreign, stages
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.errors import DatasetError
+from dopslam.formats import table as foreign
+from dopslam.pipeline import file as stages
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 from dopslam.slam.history import History
+from dopslam.store import file as dataset
 
 FULL = """
 [columns]

@@ -7,9 +7,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from dopslam import dataset
-from dopslam.export import export
+from dopslam.formats.export import export
 from dopslam.records import Landmarks, Paths, Track
+from dopslam.store import file as dataset
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # those of other programs are not ours
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dopslam import dataset
 from dopslam.records import Paths
+from dopslam.store import file as dataset
 
 
 def test_a_shard_opens_in_xarray(made):

@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 
-from dopslam import geometry
-from dopslam.config import load
+from dopslam.config.scenario import load
 from dopslam.datasets import make_plan
 from dopslam.datasets import maker as module
+from dopslam.raytracing import images as geometry
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths
 
 BS = np.array([0.0, 0.0, 40.0])

@@ -16,7 +16,7 @@ from dopslam.models.detection import (
 )
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
-from dopslam.slam.pmb import look_up
+from dopslam.slam.pmb.density import look_up
 
 
 def test_probability_from_snr_against_sampling():

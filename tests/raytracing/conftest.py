@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dopslam.geometry import reflected_paths
+from dopslam.raytracing.images import reflected_paths
 
 SCENES = Path(__file__).parents[2] / "scenes"
 

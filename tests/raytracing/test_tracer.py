@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dopslam.errors import SceneError
-from dopslam.geometry import zenith_azimuth
 from dopslam.raytracing import ScatterPoints, SceneSource, Tracer, TraceSettings, join, load_scene, trace
+from dopslam.raytracing.images import zenith_azimuth
 from dopslam.records import SPEED_OF_LIGHT, Kind, same
 
 pytestmark = pytest.mark.rt

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from dopslam.report.bp_figures import association_errors, belief_map, errors_over_time, feature_names, type_beliefs
 from dopslam.report.figures import save_all
-from dopslam.slam.bp.cases import Case, run_case
-from dopslam.slam.bp.experiment import Experiment, draw
-from dopslam.slam.bp.run import run
-from dopslam.slam.bp.study import start_box, summary
-from dopslam.slam.loopy_study import error_distribution
+from dopslam.slam.belief.experiment import Experiment, draw
+from dopslam.studies.bp_cases import Case, run_case
+from dopslam.studies.bp_figures import association_errors, belief_map, errors_over_time, feature_names, type_beliefs
+from dopslam.studies.bp_run import run
+from dopslam.studies.bp_study import start_box, summary
+from dopslam.studies.loopy import error_distribution
 
 
 def test_figures_show_the_tables(tmp_path):

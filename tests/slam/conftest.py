@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dopslam.simulate import section_v
+from dopslam.simulate.world import section_v
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from dopslam.slam.association import assign, k_best
+from dopslam.slam.association.murty import assign, k_best
 
 
 def slam_like(rng, rows, tracks, gated=0.6):

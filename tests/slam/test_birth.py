@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dopslam.models.measurement import SP, VA, incidence, jacobians, measure, positions, residual
-from dopslam.simulate import nominal_track
-from dopslam.slam.birth import fit_landmark, starting_point, undetected_intensity, visible_share
-from dopslam.slam.newborn import give_birth
-from dopslam.slam.pmb import FilterParameters, Scan, compile_model, initial_density
+from dopslam.simulate.world import nominal_track
+from dopslam.slam.pmb.birth import fit_landmark, starting_point, undetected_intensity, visible_share
+from dopslam.slam.pmb.density import FilterParameters, Scan, compile_model, initial_density
+from dopslam.slam.pmb.newborn import give_birth
 
 STD = np.array([0.1, 0.05, 0.05, 0.05, 0.05, 0.1])
 

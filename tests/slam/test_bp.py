@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
-from dopslam.slam.bp import belief, geometry
-from dopslam.slam.bp.bound import bound, tangent_jacobian
-from dopslam.slam.bp.experiment import Experiment, blocked, draw, draw_track, spatial, weak
-from dopslam.slam.bp.motion import ConstantVelocity, SpeedHeading, particles
-from dopslam.slam.bp.rao_blackwell import RaoBlackwell, State
-from dopslam.slam.bp.records import AOD_FOR_VA, PAPER, Features, Form, Parameters, Scan
-from dopslam.slam.bp.run import evaluate, run
-from dopslam.slam.bp.start import Box, informed_start, uniform_start
+from dopslam.slam.belief import belief, geometry
+from dopslam.slam.belief.bound import bound, tangent_jacobian
+from dopslam.slam.belief.experiment import Experiment, blocked, draw, draw_track, spatial, weak
+from dopslam.slam.belief.motion import ConstantVelocity, SpeedHeading, particles
+from dopslam.slam.belief.rao_blackwell import RaoBlackwell, State
+from dopslam.slam.belief.records import AOD_FOR_VA, PAPER, Features, Form, Parameters, Scan
+from dopslam.slam.belief.start import Box, informed_start, uniform_start
+from dopslam.studies.bp_run import evaluate, run
 
 
 def small_filter(experiment, types=PAPER, **changes):

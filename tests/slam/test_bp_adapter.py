@@ -5,7 +5,7 @@ import pytest
 
 from dopslam.models.measurement import measure
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
-from dopslam.slam.bp.adapter import Setup, scans_of, slam, synchronized, turning
+from dopslam.slam.belief.adapter import Setup, scans_of, slam, synchronized, turning
 
 BS = np.array([0.0, 0.0, 10.0])
 WALL, POINT = np.array([0.0, 60.0, 10.0]), np.array([15.0, -6.0, 3.0])

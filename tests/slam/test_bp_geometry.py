@@ -5,11 +5,11 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from dopslam.models.measurement import measure
-from dopslam.slam.bp import geometry, kernels
-from dopslam.slam.bp.births import birth, order_for
-from dopslam.slam.bp.bound import tangent_jacobian
-from dopslam.slam.bp.evidence import gaussian_evidence
-from dopslam.slam.bp.records import Form
+from dopslam.slam.belief import geometry, kernels
+from dopslam.slam.belief.births import birth, order_for
+from dopslam.slam.belief.bound import tangent_jacobian
+from dopslam.slam.belief.evidence import gaussian_evidence
+from dopslam.slam.belief.records import Form
 
 FORMS = [Form.LOS, Form.VA, Form.PS, Form.VA_AOD]
 ANCHOR = np.array([1.0, -2.0, 3.0])

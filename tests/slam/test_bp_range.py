@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
-from dopslam.slam.bp import range_kernels as kernels
-from dopslam.slam.bp import range_study
-from dopslam.slam.bp.range_only import RangeMap, RangeOnly, RangeParameters, RangeState
-from dopslam.slam.bp.range_scene import bound, office
+from dopslam.slam.belief.distance_only import kernels
+from dopslam.slam.belief.distance_only.filter import RangeMap, RangeOnly, RangeParameters, RangeState
+from dopslam.slam.belief.distance_only.scene import bound, office
+from dopslam.studies import distance_only as range_study
 
 
 def mixture(rng, particles=700):

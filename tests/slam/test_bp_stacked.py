@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dopslam.slam.bp import clouds, geometry, motion
-from dopslam.slam.bp.births import birth, order_for
-from dopslam.slam.bp.experiment import Experiment, draw
-from dopslam.slam.bp.likelihood import Constants, backend
-from dopslam.slam.bp.records import PAPER, Form
-from dopslam.slam.bp.rows import kernel_agent
-from dopslam.slam.bp.run import evaluate, run
-from dopslam.slam.bp.stacked import Stacked
-from dopslam.slam.bp.study import motion_of, start_box
-from dopslam.slam.bp.timing import crowded_step
+from dopslam.slam.belief import geometry, motion
+from dopslam.slam.belief.births import birth, order_for
+from dopslam.slam.belief.experiment import Experiment, draw
+from dopslam.slam.belief.records import PAPER, Form
+from dopslam.slam.belief.rows import kernel_agent
+from dopslam.slam.belief.stacked import clouds
+from dopslam.slam.belief.stacked.likelihood import Constants, backend
+from dopslam.slam.belief.stacked.stacked import Stacked
+from dopslam.studies.bp_run import evaluate, run
+from dopslam.studies.bp_study import motion_of, start_box
+from dopslam.studies.bp_timing import crowded_step
 
 FORMS = [Form.LOS, Form.VA, Form.PS, Form.VA_AOD]
 

@@ -10,10 +10,11 @@ from dopslam.models.detection import ConstantDetection, SnrDetection
 from dopslam.models.measurement import BS, SP, VA, jacobians, measure, residual, wrap
 from dopslam.models.motion import propagate, transition_jacobian
 from dopslam.models.scans import Scans
-from dopslam.simulate import FixedNoise, draw_scans, nominal_track, section_v, simulate, unknown_motion
-from dopslam.slam import ek_pmb, pmbm
-from dopslam.slam.ek_pmb import FilterParameters, filter_scans, scan_of
-from dopslam.slam.pmb import PMB, compile_model, initial_density
+from dopslam.simulate.world import FixedNoise, draw_scans, nominal_track, section_v, simulate, unknown_motion
+from dopslam.slam.pmb import ek_pmb
+from dopslam.slam.pmb import mixture as pmbm
+from dopslam.slam.pmb.density import PMB, compile_model, initial_density
+from dopslam.slam.pmb.ek_pmb import FilterParameters, filter_scans, scan_of
 
 pytestmark = pytest.mark.mc
 

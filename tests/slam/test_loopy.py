@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dopslam.errors import FilterError
-from dopslam.slam.loopy import exact_association, loopy_association
-from dopslam.slam.loopy_study import error_distribution
+from dopslam.slam.association.loopy import exact_association, loopy_association
+from dopslam.studies.loopy import error_distribution
 
 
 def enumerate_marginals(missed, detected, new):

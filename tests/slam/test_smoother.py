@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import least_squares
 
 from dopslam.errors import FilterError
-from dopslam.metrics import nees, state_errors
+from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.measurement import BS, VA, measure, residual
 from dopslam.models.motion import propagate
-from dopslam.simulate import FixedNoise, simulate
-from dopslam.slam import ek_pmb, smoother
-from dopslam.slam.smoother import SmootherParameters
-from dopslam.slam.window import eliminate
+from dopslam.simulate.world import FixedNoise, simulate
+from dopslam.slam.pmb import ek_pmb, smoother
+from dopslam.slam.pmb.smoother import SmootherParameters
+from dopslam.slam.pmb.window import eliminate
 
 pytestmark = pytest.mark.mc
 

@@ -1,0 +1,1 @@
+"""What a person writes: scenarios, filters, drives and sweeps as frozen, validated models."""

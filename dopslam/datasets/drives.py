@@ -1,0 +1,147 @@
+"""Single drives of a large dataset, each as a dataset file that ``estimate``, ``slam``, ``bound`` and ``evaluate`` take.
+
+What the filters are told about a drive comes from the scenario, from what the dataset says the receiver knows at its
+start, and from its odometry: its number of steps and its speed. The turn rate of random drives walks between the limits
+that ``[dataset.tracks]`` states; the filter is told its middle and a process noise that covers those limits.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, LineTracks
+from dopslam.config.scenario import Scenario, override
+from dopslam.datasets.parts import Part, scenario_of
+from dopslam.errors import DatasetError
+from dopslam.raytracing.traced import Traced, join
+from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
+from dopslam.store import file as dataset
+
+
+def drives_of(parts: Sequence[Part]) -> dict[int, list[tuple[Part, int, int]]]:
+    """Of every drive the parts that hold it, each with the first and last (exclusive) of its positions there."""
+    found: dict[int, list[tuple[Part, int, int]]] = {}
+    for part in parts:
+        drive = part.steps.drive
+        edges = [0, *(np.flatnonzero(np.diff(drive)) + 1).tolist(), len(drive)]
+        for first, last in itertools.pairwise(edges):
+            if last > first:
+                found.setdefault(int(drive[first]), []).append((part, first, last))
+    return found
+
+
+def write_drive(parts: Sequence[Part], number: int, path: Path) -> None:
+    """Write one drive of a dataset as a dataset file of its own.
+
+    Raises
+    ------
+    DatasetError
+        When there is no such drive, or the file cannot be written.
+    """
+    drives = drives_of(parts)
+    if number not in drives:
+        raise DatasetError(f"{parts[0].path}: there is no drive {number}; there are {min(drives)} to {max(drives)}")
+    _write(parts, drives[number], number, path)
+
+
+def write_drives(parts: Sequence[Part], folder: Path) -> None:
+    """Write every drive of a dataset into ``drive-00000.h5`` …"""
+    for number, places in drives_of(parts).items():
+        _write(parts, places, number, folder / f"drive-{number:05d}.h5")
+
+
+def _write(parts: Sequence[Part], places: list[tuple[Part, int, int]], number: int, path: Path) -> None:
+    track = _track(places)
+    landmarks, paths = _paths(places)
+    records: dict = {"track": track, "landmarks": landmarks, "paths": paths}
+    have = places[0][0].groups
+    if "detections" in have:
+        cut = [ragged(part.read("detections", DetectionSeries), *span) for part, *span in places]
+        records["detections"] = join_ragged(cut)
+    _, seed = dataset.read_root(parts[0].path)
+    own_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+    scenario = told(scenario_of(parts), track)
+    dataset.write_records(path, records, scenario.to_toml(), own_seed, {"drive": number, "dataset_seed": seed})
+    if "signal" in have:
+        dataset.write_signal(path, _snapshots(places), track.steps)
+
+
+def told(scenario: Scenario, track: Track) -> Scenario:
+    """The scenario as the filter of one drive is told it; see the module's text."""
+    config, period = (scenario.dataset or DatasetConfig()).tracks, scenario.track.period
+    speed = float(np.linalg.norm(track.velocity, axis=1).mean())
+    settings = {"steps": track.steps, "start": [float(v) for v in track.start]}
+    x, y, _, bias = scenario.track.process_std
+    if config.kind != "motion":
+        settings["speed"] = speed
+    if isinstance(config, LineTracks):
+        settings["turn_rate"] = 0.0
+    elif isinstance(config, CircleTracks):
+        middle = np.array(config.center) - track.start[:2]
+        left = np.cos(track.start[2]) * middle[1] - np.sin(track.start[2]) * middle[0] > 0
+        settings["turn_rate"] = (1.0 if left else -1.0) * speed / config.radius
+    elif isinstance(config, DriveTracks):
+        turn = config.turn_rate * period / np.sqrt(3)  # standard deviation of a turn anywhere within the limits
+        aside = speed * period * turn / 2
+        settings["turn_rate"] = 0.0
+        settings["process_std"] = [float(np.hypot(x, aside)), float(np.hypot(y, aside)), float(turn), bias]
+    return override(scenario, [f"track.{name}={value!r}" for name, value in settings.items()])
+
+
+def _track(places: list[tuple[Part, int, int]]) -> Track:
+    cut = [(part.track, part.steps, slice(first, last)) for part, first, last in places]
+    names = ("time", "position", "heading", "velocity", "bias")
+    columns = {name: np.concatenate([getattr(track, name)[rows] for track, _, rows in cut]) for name in names}
+    return Track(**columns, start=cut[0][1].start[places[0][1]])
+
+
+def _paths(places: list[tuple[Part, int, int]]) -> tuple[Landmarks, Paths]:
+    """Landmarks that a path of this drive leads over, and all scatter points, as when it is traced alone."""
+    chunks = []
+    for part, first, last in places:
+        landmarks, paths = part.landmarks, ragged(part.paths, first, last)
+        seen = (landmarks.kind != Kind.VA) | np.isin(np.arange(len(landmarks)), paths.landmark)
+        kept = Landmarks(**{f.name: getattr(landmarks, f.name)[seen] for f in fields(Landmarks)})
+        paths = replace(paths, landmark=(np.cumsum(seen) - 1)[paths.landmark])
+        chunks.append(Traced(kept, paths, np.zeros((len(paths.landmark), 2, 2))))
+    joined = join(chunks)
+    return joined.landmarks, joined.paths
+
+
+def _snapshots(places: list[tuple[Part, int, int]]) -> Iterator[np.ndarray]:
+    for part, first, last in places:
+        for step in range(first, last):
+            yield dataset.read_snapshot(part.path, step)
+
+
+def ragged(record, first: int, last: int):
+    """Steps ``first`` to ``last`` (exclusive) of paths or detections."""
+    offsets = record.offsets
+    steps, rows = len(offsets) - 1, slice(int(offsets[first]), int(offsets[last]))
+    taken: dict = {"offsets": offsets[first : last + 1] - offsets[first]}
+    if isinstance(record, Paths):
+        edges = record.vertex_offsets[rows.start : rows.stop + 1]
+        taken |= {"vertex_offsets": edges - edges[0], "vertices": record.vertices[edges[0] : edges[-1]]}
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if field.name not in taken and isinstance(value, np.ndarray):
+            per_step = field.name == "noise_variance"
+            assert len(value) == (steps if per_step else offsets[-1])
+            taken[field.name] = value[first:last] if per_step else value[rows]
+    return replace(record, **taken)
+
+
+def join_ragged(parts: list[DetectionSeries]) -> DetectionSeries:
+    """Detections of successive steps as one record."""
+    columns = {
+        f.name: np.concatenate([getattr(part, f.name) for part in parts])
+        for f in fields(DetectionSeries)
+        if isinstance(getattr(parts[0], f.name), np.ndarray) and f.name != "offsets"
+    }
+    counts = np.concatenate([np.diff(part.offsets) for part in parts])
+    return replace(parts[0], offsets=np.concatenate([[0], np.cumsum(counts)]), **columns)

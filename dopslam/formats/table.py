@@ -1,0 +1,308 @@
+"""Detections that somebody else measured or simulated, as a dataset that ``dopslam slam`` runs on.
+
+A table (CSV with a header, or a MATLAB file of equally long vectors) holds one row per detected path. A small TOML
+file says what
+its columns mean::
+
+    [columns]                  # ours = "name in the table"; any subset, but time or step, and delay or an angle
+    time = "t"                 # or step, counted from 0
+    delay = "toa"
+    aoa_azimuth = "phi"        # and aoa_elevation, aod_azimuth, aod_elevation
+    doppler = "fd"             # or radial_velocity
+    power = "p"                # or snr
+    delay_std = "toa_sigma"    # …_std columns in the unit of their quantity
+
+    [units]                    # default: s, rad, Hz, m/s, linear
+    delay = "ns"               # s ms us ns m
+    aoa_azimuth = "deg"        # rad deg
+    power = "dB"               # linear dB
+
+    [conventions]              # defaults first
+    elevation = "horizon"      # or "zenith": angles from the vertical
+    azimuth = "counterclockwise"   # or "clockwise"
+    aoa_frame = "receiver"     # or "world": not turned with the heading; needs the true headings
+    aod_frame = "base_station" # or "world"
+    doppler = "approaching"    # or "receding": which sign is positive
+    uplink = false             # true: the table calls AOA what is measured at the base station
+
+    [offsets]                  # subtracted from the table's values, in the table's unit
+    delay = 12.5
+
+    [std]                      # in the table's unit, where there is no …_std column
+    delay = 0.3
+
+    [assumed]                  # what to put where a quantity is missing, in rad, s or m/s; with [std] it counts as
+    measured
+    aoa_elevation = 0.0
+
+    noise_floor_db = -90.0     # with power: what is subtracted to get the SNR
+
+A quantity that is neither measured nor assumed gets a variance so wide that it tells nothing, and the volume over
+which false
+paths spread is widened alike, so that no hypothesis gains by it.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dopslam.config.scenario import Scenario
+from dopslam.errors import DatasetError
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
+
+QUANTITIES = ("delay", "aoa_azimuth", "aoa_elevation", "aod_azimuth", "aod_elevation", "radial_velocity")
+WIDTHS = (None, 2 * np.pi, np.pi, 2 * np.pi, np.pi, None)  # of what is searched; None: from the scenario or the data
+UNITS = {
+    "delay": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1 / SPEED_OF_LIGHT},
+    "angle": {"rad": 1.0, "deg": np.pi / 180},
+    "doppler": {"Hz": 1.0, "kHz": 1e3},
+    "radial_velocity": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "power": {"linear": 1.0, "dB": 1.0},
+    "snr": {"linear": 1.0, "dB": 1.0},
+}
+CONVENTIONS: dict[str, tuple] = {
+    "elevation": ("horizon", "zenith"),
+    "azimuth": ("counterclockwise", "clockwise"),
+    "aoa_frame": ("receiver", "world"),
+    "aod_frame": ("base_station", "world"),
+    "doppler": ("approaching", "receding"),
+    "uplink": (False, True),
+}
+WIDE = 100.0  # standard deviation of what is not measured, over the width that is searched
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A validated TOML mapping; see the module's text for the keys."""
+
+    columns: dict[str, str]
+    units: dict[str, str]
+    conventions: dict[str, Any]
+    offsets: dict[str, float]
+    std: dict[str, float]
+    assumed: dict[str, float]
+    noise_floor_db: float = 0.0
+
+
+def read_mapping(path: str | Path) -> Mapping:
+    """Read and validate a mapping.
+
+    Raises
+    ------
+    DatasetError
+        Naming the key, its value, and what is allowed.
+    """
+    try:
+        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise DatasetError(f"{path}: not a readable TOML mapping ({error})") from error
+    measured = [*QUANTITIES, "doppler", "power", "snr"]
+    allowed = {
+        "columns": ["time", "step", *measured, *(f"{name}_std" for name in measured[:7])],
+        "units": measured, "conventions": list(CONVENTIONS), "offsets": measured, "std": measured[:7],
+        "assumed": list(QUANTITIES),
+    }  # fmt: skip
+    for section, content in tree.items():
+        if section == "noise_floor_db":
+            continue
+        if section not in allowed or not isinstance(content, dict):
+            raise DatasetError(f"{path}: unknown section [{section}]; known are {', '.join(allowed)}")
+        for key, value in content.items():
+            if key not in allowed[section]:
+                raise DatasetError(f"{path}: unknown key {section}.{key}; known are {', '.join(allowed[section])}")
+            kind = {"columns": str, "units": str, "conventions": str | bool}.get(section, float | int)
+            if not isinstance(value, kind) or (section in ("offsets", "std", "assumed") and isinstance(value, bool)):
+                raise DatasetError(f"{path}: {section}.{key} = {value!r} is of the wrong type")
+    for name, unit in tree.get("units", {}).items():
+        if unit not in _units(name):
+            raise DatasetError(f"{path}: units.{name} = {unit!r}; known are {', '.join(_units(name))}")
+    for name, value in tree.get("conventions", {}).items():
+        if value not in CONVENTIONS[name]:
+            raise DatasetError(f"{path}: conventions.{name} = {value!r}; choose one of {CONVENTIONS[name]}")
+    for name, value in tree.get("std", {}).items():
+        if not 0 < value < np.inf:
+            raise DatasetError(f"{path}: std.{name} = {value!r}; give a positive number")
+    columns = tree.get("columns", {})
+    if not {"time", "step"} & set(columns) or not (set(QUANTITIES) | {"doppler"}) & set(columns):
+        raise DatasetError(f"{path}: [columns] needs time or step, and at least one of {', '.join(QUANTITIES)}")
+    return Mapping(
+        columns, *(tree.get(s, {}) for s in ("units", "conventions", "offsets", "std", "assumed")),
+        noise_floor_db=float(tree.get("noise_floor_db", 0.0)),
+    )  # fmt: skip
+
+
+def _units(name: str) -> dict[str, float]:
+    return UNITS["angle"] if name.startswith("ao") else UNITS[name]
+
+
+def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
+    """Columns of a CSV or MATLAB (up to v7.2) file as equally long float vectors.
+
+    Raises
+    ------
+    DatasetError
+        For a file that cannot be read, a missing column (naming those there are), or values that are no finite numbers.
+    """
+    path = Path(path)
+    try:
+        if path.suffix.lower() == ".mat":
+            from scipy.io import loadmat
+
+            found = {k: np.asarray(v).ravel() for k, v in loadmat(path).items() if not k.startswith("__")}
+        else:
+            with open(path, newline="", encoding="utf-8-sig") as file:
+                header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+            columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
+            found = dict(zip((name.strip() for name in header), map(np.array, columns), strict=True))
+    except (OSError, ValueError, TypeError, NotImplementedError, KeyError, IndexError) as error:
+        raise DatasetError(
+            f"{path}: cannot be read as CSV with a header or a MATLAB file before v7.3 ({error})"
+        ) from error
+    table = {}
+    for name in names:
+        if name not in found:
+            raise DatasetError(f"{path}: has no column {name!r}; it has {', '.join(found) or 'none'}")
+        try:
+            table[name] = found[name].astype(float)
+        except (ValueError, TypeError) as error:
+            raise DatasetError(f"{path}: column {name!r} holds something that is no number ({error})") from error
+        if not np.all(np.isfinite(table[name])):
+            row = int(np.argmin(np.isfinite(table[name])))
+            raise DatasetError(
+                f"{path}: column {name!r} holds {table[name][row]} in data row {row + 1}; remove such rows"
+            )
+    if len({len(column) for column in table.values()}) > 1:
+        sizes = ", ".join(f"{name} {len(column)}" for name, column in table.items())
+        raise DatasetError(f"{path}: columns differ in length: {sizes}")
+    return table
+
+
+def detections(
+    path: str | Path, mapping: Mapping, scenario: Scenario, steps: int | None = None, truth: Track | None = None
+) -> DetectionSeries:
+    """A foreign table as detections.
+
+    Parameters
+    ----------
+    path : CSV or MATLAB file
+    mapping : what its columns mean
+    scenario : its period turns times into steps; carrier and BS yaw are used where needed
+    steps : number of snapshots; default up to the last detection
+    truth : true track, needed only for AOAs in the world frame
+    """
+    table = read_table(path, list(mapping.columns.values()))
+    get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
+    step = _steps(path, get, scenario)
+    count = steps if steps is not None else int(step.max(initial=-1)) + 1
+    inside = (step >= 0) & (step < count)
+    order = np.flatnonzero(inside)[np.argsort(step[inside], kind="stable")]
+    get, step = {name: column[order] for name, column in get.items()}, step[order]
+    z, std = _measured(path, get, mapping, scenario)
+    if mapping.conventions.get("uplink", False):
+        z[:, [1, 2, 3, 4]], std[:, [1, 2, 3, 4]] = z[:, [3, 4, 1, 2]], std[:, [3, 4, 1, 2]]
+    if mapping.conventions.get("aoa_frame") == "world":
+        if truth is None:
+            raise DatasetError(f"{path}: conventions.aoa_frame = 'world' needs the true headings; give --track")
+        z[:, 1] -= truth.heading[step]
+    if mapping.conventions.get("aod_frame") == "world":
+        z[:, 3] -= np.deg2rad(scenario.base_station.yaw_deg)
+    missing = np.isnan(std)
+    widths = np.array([w if w else d for w, d in zip(WIDTHS, _widths(z, scenario), strict=True)])
+    wide = WIDE * widths / np.sqrt(2 * np.pi)
+    std = np.where(missing, wide, std)
+    z[:, [1, 3]] = (z[:, [1, 3]] + np.pi) % (2 * np.pi) - np.pi
+    # In metres, as the filters have it; what is not measured counts with the width of its own Gaussian.
+    volume = np.where(missing.any(axis=0), WIDE * widths, widths) * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1]
+    snr = _snr(get, mapping)
+    return DetectionSeries(
+        offsets=np.concatenate([[0], np.cumsum(np.bincount(step, minlength=count))]),
+        delay=z[:, 0], aoa=z[:, 1:3], aod=z[:, 3:5], radial_velocity=z[:, 5],
+        gain=np.sqrt(snr).astype(complex),
+        covariance=std[:, :, None] ** 2 * np.eye(6),
+        snr=snr,
+        noise_variance=np.ones(count),
+        threshold=float(snr.min(initial=np.inf)) if len(snr) else 1.0,
+        false_alarm_rate=float(scenario.source.model.clutter_rate),
+        search_volume=float(np.prod(volume)),
+    )  # fmt: skip
+
+
+def _steps(path, get: dict[str, np.ndarray], scenario: Scenario) -> np.ndarray:
+    if "step" in get:
+        step = get["step"]
+        if np.any(step != np.round(step)) or np.any(step < 0):
+            raise DatasetError(f"{path}: the step column holds numbers that are not whole or below 0")
+        return step.astype(int)
+    time = get["time"]
+    return (
+        np.round((time - time.min(initial=np.inf)) / scenario.track.period).astype(int)
+        if len(time)
+        else np.zeros(0, int)
+    )
+
+
+def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:
+    """Widths that are searched, of those quantities that have no natural one: delay [s] and radial velocity [m/s]."""
+    reach = max(float(np.ptp(z[:, 0])) if len(z) else 0.0, scenario.source.model.clutter_range / SPEED_OF_LIGHT)
+    speed = scenario.estimator.max_radial_velocity
+    return [reach, 0, 0, 0, 0, 2 * speed]
+
+
+def _measured(path, get: dict[str, np.ndarray], mapping: Mapping, scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Values (N, 6) and standard deviations (N, 6) in SI units; NaN deviation where nothing is known."""
+    rows = len(next(iter(get.values())))
+    z, std = np.zeros((rows, 6)), np.full((rows, 6), np.nan)
+    for i, name in enumerate(QUANTITIES):
+        source = "doppler" if name == "radial_velocity" and "doppler" in get else name
+        scale = _units(source).get(mapping.units.get(source, ""), 1.0)
+        if source == "doppler":
+            scale *= SPEED_OF_LIGHT / scenario.radio.carrier_frequency
+        if source in get:
+            z[:, i] = (get[source] - mapping.offsets.get(source, 0.0)) * scale
+            if f"{source}_std" in get:
+                std[:, i] = get[f"{source}_std"] * scale
+            elif source in mapping.std:
+                std[:, i] = mapping.std[source] * scale
+            else:
+                raise DatasetError(
+                    f"{path}: how accurate is {source}? Give std.{source} or a column {source}_std in the mapping"
+                )
+            if np.any(std[:, i] <= 0):
+                raise DatasetError(f"{path}: column {source}_std holds values that are not positive")
+            _turn(name, i, z, mapping)
+        elif name in mapping.assumed:
+            z[:, i] = mapping.assumed[name]
+            if name in mapping.std:
+                std[:, i] = mapping.std[name] * scale
+    return z, std
+
+
+def _turn(name: str, i: int, z: np.ndarray, mapping: Mapping) -> None:
+    if name.endswith("elevation") and mapping.conventions.get("elevation") == "zenith":
+        z[:, i] = np.pi / 2 - z[:, i]
+    if name.endswith("azimuth") and mapping.conventions.get("azimuth") == "clockwise":
+        z[:, i] *= -1
+    if name == "radial_velocity" and mapping.conventions.get("doppler") == "receding":
+        z[:, i] *= -1
+
+
+def _snr(get: dict[str, np.ndarray], mapping: Mapping) -> np.ndarray:
+    """(N,) linear SNR, one where there is neither SNR nor power."""
+    rows = len(next(iter(get.values())))
+    for name, floor in (("snr", 0.0), ("power", mapping.noise_floor_db)):
+        if name in get:
+            value = get[name] - mapping.offsets.get(name, 0.0)
+            decibel = value if mapping.units.get(name) == "dB" else 10 * np.log10(np.maximum(value, 1e-300))
+            return 10 ** ((decibel - floor) / 10)
+    return np.ones(rows)
+
+
+def knows_snr(mapping: Mapping) -> bool:
+    """Whether the table tells the strength of its paths, so that the probability of detection can follow it."""
+    return bool({"snr", "power"} & set(mapping.columns))

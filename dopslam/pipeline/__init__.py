@@ -1,0 +1,1 @@
+"""The stages, from records to records and over a dataset file."""

@@ -1,0 +1,194 @@
+"""The stages over one dataset file: each reads the records it needs, adds its own, and can start from anybody's
+file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dopslam.config.scenario import Scenario, override, parse
+from dopslam.errors import DatasetError
+from dopslam.evaluate import detections as matching
+from dopslam.evaluate.bounds import Bound
+from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
+from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
+from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.report import figures, folder, tables
+from dopslam.slam.history import History
+from dopslam.store import file as dataset
+
+
+def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
+    """The scenario and seed a dataset was made with, with later ``--set`` applied."""
+    text, seed = dataset.read_root(path)
+    return override(parse(text, source=str(path)), settings), seed
+
+
+def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet) -> None:
+    """Start a dataset: track, landmarks, paths and floor plan of a traced scenario."""
+    _check_new(path)
+    traced = pipeline.trace(scenario, seed, progress)
+    records = {"track": traced.track, "landmarks": traced.landmarks, "paths": traced.paths, "plan": traced.plan}
+    dataset.write_records(path, records, scenario.to_toml(), seed)
+
+
+def simulate(path: Path, scenario: Scenario, seed: int) -> None:
+    """Start a dataset without a tracer: track, landmarks and detections drawn from the measurement model."""
+    _check_new(path)
+    track, landmarks, detections = pipeline.simulate(scenario, seed)
+    records = {"track": track, "landmarks": landmarks, "detections": detections}
+    dataset.write_records(path, records, scenario.to_toml(), seed)
+
+
+def _check_new(path: Path) -> None:
+    """Refuse before the work what could not be written after it."""
+    if Path(path).exists():
+        raise DatasetError(f"{path}: exists already; remove it or name another file with --out")
+    if not Path(path).resolve().parent.is_dir():
+        raise DatasetError(f"{path}: the folder {str(Path(path).parent)!r} does not exist; create it first")
+
+
+def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
+    """Add the received signal of every step."""
+    scenario, seed = scenario_of(path, settings)
+    track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+    dataset.write_signal(path, pipeline.synthesize(scenario, track, paths, seed, progress), paths.steps)
+
+
+def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet) -> None:
+    """Add the detections of every snapshot, from the stored signal or, without one, from the signal of the paths."""
+    scenario, seed = scenario_of(path, settings)
+    stored = dataset.signal_steps(path)
+    if stored:
+        signal = StoredSignal(Path(path), stored)
+    else:
+        track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+        signal = SyntheticSignal(scenario.to_toml(), track, paths, seed)
+    detections = pipeline.estimate(scenario, signal, jobs, progress)
+    dataset.write_record(path, "detections", detections, scenario.to_toml())
+
+
+def read_truth(path: Path) -> tuple[Track, Landmarks, Paths | None, FloorPlan | None]:
+    """The truth in a dataset; paths and plan are None where detections were drawn from the model."""
+    have = dataset.groups(path)
+    return (
+        dataset.read_record(path, "track", Track),
+        dataset.read_record(path, "landmarks", Landmarks),
+        dataset.read_record(path, "paths", Paths) if "paths" in have else None,
+        dataset.read_record(path, "plan", FloorPlan) if "plan" in have else None,
+    )
+
+
+def read_detections(path: Path) -> DetectionSeries:
+    """The detections in a dataset."""
+    return dataset.read_record(path, "detections", DetectionSeries)
+
+
+VARIANTS = {
+    "joint": ("joint", True),
+    "joint, no Doppler": ("joint", False),
+    "marginal": ("marginal", True),
+    "marginal, no Doppler": ("marginal", False),
+    "smoother": ("smoother", True),
+    "smoother, no Doppler": ("smoother", False),
+    "bp, no Doppler": ("bp", False),
+}
+
+
+def variant_name(density: str, doppler: bool) -> str:
+    """Name of a filter variant in tables and files."""
+    return density if doppler else f"{density}, no Doppler"
+
+
+def _group(kind: str, name: str) -> str:
+    return f"{kind}_{name.replace(', ', '_').replace(' ', '_').lower()}"
+
+
+def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
+    """The detections with the model source's noise added where the scenario asks for it."""
+    wanted = scenario.source.kind == "traced" and scenario.source.traced.added_noise == "model"
+    return pipeline.blur(scenario, detections, seed) if wanted else detections
+
+
+def slam(path: Path, settings=(), density: str | None = None, doppler: bool = True) -> str:
+    """Add the history of one filter variant; returns its name."""
+    scenario, seed = scenario_of(path, settings)
+    detections = blurred(scenario, read_detections(path), seed)
+    density = density or scenario.filter.density
+    doppler = doppler and density != "bp"  # paper B's measurements have none
+    history = pipeline.slam(scenario, detections, density, doppler, seed)
+    name = variant_name(density, doppler)
+    dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
+    return name
+
+
+def histories(path: Path) -> dict[str, History]:
+    """The filter histories a dataset holds, by variant name."""
+    have = set(dataset.groups(path))
+    return {
+        name: dataset.read_record(path, _group("slam", name), History)
+        for name in VARIANTS
+        if _group("slam", name) in have
+    }
+
+
+def bound(path: Path, settings=(), doppler: bool = True) -> None:
+    """Add the posterior Cramér–Rao bound of this run: its track, its detections and their R, the true association."""
+    scenario, seed = scenario_of(path, settings)
+    track, landmarks, paths, _ = read_truth(path)
+    detections = blurred(scenario, read_detections(path), seed)
+    bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
+    dataset.write_record(path, _group("bound", "Doppler" if doppler else "no Doppler"), bounds)
+
+
+def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
+    """Summary of every filter variant a dataset holds, and the evaluations behind it."""
+    scenario, seed = scenario_of(path, settings)
+    track, landmarks, paths, _ = read_truth(path)
+    have = dataset.groups(path)
+    found = histories(path)
+    if not found:
+        raise DatasetError(f"{path}: holds no filter history; run 'dopslam slam {path}' first")
+    evaluations = {}
+    for name, history in found.items():
+        group = _group("bound", "Doppler" if VARIANTS[name][1] else "no Doppler")
+        if group not in have:
+            raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}' first")
+        bounds = dataset.read_record(path, group, Bound)
+        order = pipeline.largest_order(VARIANTS[name][0], landmarks)
+        evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
+    radius = scenario.evaluation.found_radius
+    variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
+    main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
+    main = main if main in variants else next(iter(variants))
+    summary = {
+        "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
+        **variants[main],
+        "detections": _detection_figures(scenario, track, paths, read_detections(path)),
+        "variants": variants,
+    }  # fmt: skip
+    return summary, evaluations
+
+
+def _detection_figures(scenario: Scenario, track: Track, paths: Paths | None, detections: DetectionSeries) -> dict:
+    if paths is None:
+        return {"per_snapshot": len(detections.delay) / detections.steps}
+    return matching.figures(matching.match_series(scenario, track, paths, detections))
+
+
+def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
+    """Write ``summary.json``, ``table.txt`` and the figures of an evaluated dataset into a folder, made if missing."""
+    Path(target).mkdir(parents=True, exist_ok=True)
+    track, landmarks, paths, plan = read_truth(path)
+    main = summary["filter"]
+    with figures.house_style():
+        drawn = {
+            "plan": figures.plan_view(plan, track, landmarks, paths, histories(path)[main], track.steps // 8),
+            "errors": figures.errors_over_time(evaluations[main]),
+            "gospa": figures.gospa_over_time(evaluations[main]),
+        }
+        if paths is not None:
+            drawn["detections"] = figures.detections_over_paths(track, landmarks, paths, read_detections(path))
+        figures.save_all(target, drawn)
+    (Path(target) / "table.txt").write_text(tables.as_text(tables.run_table(summary)), encoding="utf-8")
+    folder.write_json(Path(target) / "summary.json", summary | {"versions": folder.versions()})

@@ -1,0 +1,398 @@
+"""The stages, one function each: trace → synthesize → estimate → slam → bound → evaluate.
+
+Every stage takes and returns records, so that anyone can enter or leave at any of them. Random numbers come from
+``SeedSequence(seed, spawn_key=(component, step))``: results do not depend on the number of workers or on which stages
+ran
+in the same process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from dopslam import link as radio
+from dopslam import problem as build
+from dopslam.config.scenario import Scenario, parse
+from dopslam.evaluate import detections as matching
+from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
+from dopslam.evaluate.run import true_association
+from dopslam.models.measurement import measure
+from dopslam.models.scans import CLUTTER
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.simulate import world as simulate_module
+from dopslam.slam.history import History
+from dopslam.slam.pmb import ek_pmb, smoother
+from dopslam.store import file as dataset
+
+Progress = Callable[[str, int, int], None]
+
+
+class Component(IntEnum):
+    """Who draws random numbers; the first part of every spawn key."""
+
+    TRACK = 0
+    SCATTER = 1
+    NOISE = 2
+    DETECTIONS = 3
+
+
+def generator(seed: int, component: Component, step: int = 0) -> np.random.Generator:
+    """Random generator of one component and step."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(component), step)))
+
+
+def quiet(stage: str, done: int, total: int) -> None:
+    """Progress callback that shows nothing."""
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What the tracer leaves: the truth of a run."""
+
+    track: Track
+    landmarks: Landmarks
+    paths: Paths
+    plan: FloorPlan
+
+
+def draw_track(scenario: Scenario, seed: int) -> Track:
+    """The receiver's true track: drawn from the motion model, eq. (1), or exactly its mean."""
+    config, world = scenario.track, build.situation(scenario)
+    if config.random:
+        state = simulate_module.draw_track(world, generator(seed, Component.TRACK))
+    else:
+        state = simulate_module.nominal_track(world)
+    heading = state[:, 2]
+    forward = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(state))])
+    return Track(
+        time=config.period * np.arange(1, len(state) + 1),
+        position=np.column_stack([state[:, :2], np.full(len(state), scenario.receiver.height)]),
+        heading=heading,
+        velocity=config.speed * forward,
+        bias=state[:, 3],
+        start=np.array(config.start),
+    )
+
+
+def tracing_inputs(scenario: Scenario, seed: int):
+    """What the tracer needs of a scenario: scene source, scatter points with drawn phases, settings."""
+    from dopslam import raytracing
+
+    source = raytracing.SceneSource(scenario.scene_file or scenario.scene.builtin, scenario.scene.materials)
+    points = raytracing.ScatterPoints(
+        names=tuple(p.name for p in scenario.scatter_point),
+        positions=np.array([p.position for p in scenario.scatter_point]).reshape(-1, 3),
+        rcs=np.array([p.rcs for p in scenario.scatter_point]),
+        phases=generator(seed, Component.SCATTER).uniform(0, 2 * np.pi, len(scenario.scatter_point)),
+    )
+    settings = raytracing.TraceSettings(
+        max_depth=scenario.trace.max_depth, samples=scenario.trace.samples, seed=scenario.trace.seed
+    )
+    return source, points, settings
+
+
+def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
+    """Drive the track through the scene and trace every path of every step.
+
+    Raises
+    ------
+    SceneError, LLVMError
+        See :class:`dopslam.raytracing.Tracer`.
+    """
+    from dopslam import raytracing
+
+    track = draw_track(scenario, seed)
+    carrier = scenario.radio.carrier_frequency
+    source, points, settings = tracing_inputs(scenario, seed)
+    progress("trace", 0, track.steps)
+    loaded = raytracing.load_scene(source, carrier)
+    landmarks, paths = raytracing.trace(
+        loaded, carrier, scenario.base_station.position, track.position, track.velocity, points, settings
+    )
+    progress("trace", track.steps, track.steps)
+    return Traced(track, landmarks, paths, _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height)))
+
+
+def _plan(outlines: list[tuple[str, np.ndarray]]) -> FloorPlan:
+    counts = [len(line) for _, line in outlines]
+    return FloorPlan(
+        name=np.array([name for name, _ in outlines], dtype=str),
+        offsets=np.concatenate([[0], np.cumsum(counts)]).astype(int),
+        points=np.concatenate([line for _, line in outlines]) if outlines else np.zeros((0, 2)),
+    )
+
+
+def synthesize_snapshot(scenario: Scenario, track: Track, paths: Paths, step: int, seed: int) -> np.ndarray:
+    """Received signal of one step, eq. (2): complex64 (subcarriers, symbols, receive elements) in √W."""
+    from estimation import synthesize
+
+    rng = generator(seed, Component.NOISE, step)
+    table = radio.path_table(scenario, track, paths, step)
+    return synthesize(_model(scenario.to_toml()), table, radio.noise_variance(scenario), rng)
+
+
+def synthesize(
+    scenario: Scenario, track: Track, paths: Paths, seed: int, progress: Progress = quiet
+) -> Iterator[np.ndarray]:
+    """Snapshots of all steps, one at a time."""
+    for step in range(paths.steps):
+        yield synthesize_snapshot(scenario, track, paths, step, seed)
+        progress("synthesize", step + 1, paths.steps)
+
+
+@lru_cache(maxsize=2)
+def _model(scenario_toml: str):
+    """The signal model of a scenario; kept since its codebooks serve every snapshot."""
+    return radio.signal_model(parse(scenario_toml))
+
+
+@lru_cache(maxsize=2)
+def _estimator(scenario_toml: str, threshold: float | None = None):
+    """The estimator of a scenario; kept since its dictionaries serve every snapshot.
+
+    Without ``threshold`` it is calibrated on noise for the scenario's false-alarm rate.
+    """
+    import estimation
+
+    config = parse(scenario_toml).estimator
+    kinds = {"nomp": estimation.Nomp, "sage": estimation.Sage, "esprit": estimation.Esprit}
+    return kinds[config.kind](
+        _model(scenario_toml),
+        false_alarm_rate=config.false_alarm_rate,
+        max_speed=config.max_radial_velocity,
+        max_paths=config.max_paths,
+        dense_multipath=config.dense_multipath,
+        threshold=threshold,
+    )
+
+
+@dataclass(frozen=True)
+class SyntheticSignal:
+    """Snapshots made when asked for: none is ever stored."""
+
+    scenario_toml: str
+    track: Track
+    paths: Paths
+    seed: int
+
+    @property
+    def steps(self) -> int:
+        """Number of snapshots."""
+        return self.paths.steps
+
+    def snapshot(self, step: int) -> np.ndarray:
+        """Received signal of one step."""
+        return synthesize_snapshot(parse(self.scenario_toml), self.track, self.paths, step, self.seed)
+
+
+@dataclass(frozen=True)
+class StoredSignal:
+    """Snapshots read from a dataset file, perhaps somebody else's."""
+
+    path: Path
+    steps: int
+
+    def snapshot(self, step: int) -> np.ndarray:
+        """Received signal of one step."""
+        return dataset.read_snapshot(self.path, step)
+
+
+def _estimate_steps(scenario_toml: str, threshold: float, signal, steps: list[int]) -> list:
+    estimator = _estimator(scenario_toml, threshold)
+    return [(step, estimator.run(signal.snapshot(step))) for step in steps]
+
+
+def estimate(
+    scenario: Scenario, signal: SyntheticSignal | StoredSignal, jobs: int = 1, progress: Progress = quiet
+) -> DetectionSeries:
+    """Detections of every snapshot, estimated without a look at the truth.
+
+    Parameters
+    ----------
+    scenario : its radio and estimator parts are used
+    signal : where snapshots come from
+    jobs : worker processes; the result does not depend on it
+    progress : callback (stage, done, total)
+    """
+    from joblib import Parallel, delayed
+
+    text = scenario.to_toml()
+    chunk = max(1, min(5, signal.steps // jobs))
+    chunks = [list(range(first, min(first + chunk, signal.steps))) for first in range(0, signal.steps, chunk)]
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    found: dict[int, object] = {}
+    progress("estimate", 0, signal.steps)
+    threshold = _estimator(text).threshold  # calibrated once, on noise alone
+    for done in parallel(delayed(_estimate_steps)(text, threshold, signal, steps) for steps in chunks):
+        found.update(done)
+        progress("estimate", len(found), signal.steps)
+    return stack_detections(scenario, [found[step] for step in range(signal.steps)])
+
+
+def stack_detections(scenario: Scenario, snapshots: list) -> DetectionSeries:
+    """Detections of single snapshots (``estimation.Detections``) as one record."""
+    model = _model(scenario.to_toml())
+    speed = scenario.estimator.max_radial_velocity
+    # Azimuths cover the circle, elevations count as (−π/2, π/2): the volume that false paths can fall into.
+    volume = model.waveform.max_delay * SPEED_OF_LIGHT * (2 * np.pi * np.pi) ** 2 * 2 * speed
+    counts = [len(d.delay) for d in snapshots]
+
+    def column(name):
+        return np.concatenate([getattr(d, name) for d in snapshots])
+
+    return DetectionSeries(
+        offsets=np.concatenate([[0], np.cumsum(counts)]),
+        **{n: column(n) for n in ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr")},
+        noise_variance=np.array([d.noise_variance for d in snapshots]),
+        threshold=float(snapshots[0].threshold),
+        false_alarm_rate=scenario.estimator.false_alarm_rate,
+        search_volume=float(volume),
+    )
+
+
+def simulate(scenario: Scenario, seed: int) -> tuple[Track, Landmarks, DetectionSeries]:
+    """A run of the model source: track, landmarks, and detections drawn from the measurement model."""
+    world, landmarks = build.situation(scenario), build.model_landmarks(scenario)
+    track = draw_track(scenario, seed)
+    rng, clutter = (generator(seed, Component.DETECTIONS, part) for part in range(2))
+    drawn = simulate_module.draw_scans(world, track.state, rng, clutter)
+    scale = np.array([1 / SPEED_OF_LIGHT, 1, 1, 1, 1, 1])
+    detections = DetectionSeries(
+        offsets=drawn.offsets,
+        delay=drawn.z[:, 0] * scale[0],
+        aoa=drawn.z[:, 1:3],
+        aod=drawn.z[:, 3:5],
+        radial_velocity=drawn.z[:, 5],
+        gain=np.zeros(len(drawn.z), complex),
+        covariance=drawn.covariance * scale[:, None] * scale,
+        snr=np.ones(len(drawn.z)),
+        noise_variance=np.ones(drawn.steps),
+        threshold=1.0,
+        false_alarm_rate=drawn.clutter_count,
+        search_volume=drawn.search_volume,
+    )
+    return track, landmarks, detections
+
+
+def blur(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
+    """The same detections with noise of the model source's R added, and R added to their covariances.
+
+    Takes sharp detections to the accuracy of paper A's Section V without touching which paths are found.
+    """
+    std = build.measurement_std(scenario) * [1 / SPEED_OF_LIGHT, 1, 1, 1, 1, 1]
+    noise = generator(seed, Component.DETECTIONS, 2).standard_normal((len(detections.delay), 6)) * std
+    return replace(
+        detections,
+        delay=detections.delay + noise[:, 0],
+        aoa=detections.aoa + noise[:, 1:3],
+        aod=detections.aod + noise[:, 3:5],
+        radial_velocity=detections.radial_velocity + noise[:, 5],
+        covariance=detections.covariance + np.diag(std**2),
+    )
+
+
+def slam(
+    scenario: Scenario, detections: DetectionSeries, density: str | None = None, doppler: bool = True, seed: int = 0
+) -> History:
+    """Track and map from detections; the filter knows the BS, speed, turn rate, and its initial mean and covariance.
+
+    Parameters
+    ----------
+    density : ``"joint"``, ``"marginal"``, ``"smoother"`` (fixed lag over joint) or ``"bp"`` (paper B); default the
+        scenario's
+    doppler : whether the Doppler row is used; belief propagation never does
+    seed : of the particles of belief propagation
+
+    Raises
+    ------
+    FilterError
+        If the detections cannot be filtered.
+    """
+    density = density or scenario.filter.density
+    if density == "bp":
+        from dopslam.slam.belief import adapter
+
+        return adapter.slam(detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed)
+    detection = build.detection_model(scenario, detections.threshold)
+    smoothed = density == "smoother"
+    arguments = (
+        build.scans(scenario, detections),
+        build.prior(scenario),
+        build.motion(scenario),
+        np.array(scenario.base_station.position),
+        build.filter_parameters(scenario, detection, "joint" if smoothed else density, doppler),
+        scenario.receiver.height,
+    )
+    if smoothed:
+        history, _ = smoother.run(*arguments, smoother.SmootherParameters(lag=scenario.filter.lag))
+    else:
+        history, _ = ek_pmb.run(*arguments)
+    return history
+
+
+def largest_order(density: str, landmarks: Landmarks) -> int:
+    """Reflections of a virtual anchor that the filter's map may hold.
+
+    The EK-PMB's model has the departure of a single reflection; belief propagation has a type without departure as well.
+    """
+    return int(landmarks.order.max()) if density == "bp" else 1
+
+
+def landmark_of_detections(
+    scenario: Scenario, track: Track, landmarks: Landmarks, paths: Paths | None, detections: DetectionSeries
+) -> np.ndarray:
+    """(N,) landmark that each detection stems from by the truth, −1 for false ones; for bounds and evaluation only."""
+    if paths is not None:
+        matches = matching.match_series(scenario, track, paths, detections)
+        return matching.true_landmarks(matches, paths, detections)
+    count = len(landmarks)
+    exact = measure(
+        track.state[:, None], landmarks.position, landmarks.kind, np.array(scenario.base_station.position),
+        speed=scenario.track.speed, height=scenario.receiver.height,
+    )  # fmt: skip
+    return true_association(
+        build.scans(scenario, detections),
+        exact.reshape(-1, 6),
+        count * np.arange(track.steps + 1),
+        np.tile(np.arange(count), track.steps),
+    )
+
+
+def bound(
+    scenario: Scenario,
+    track: Track,
+    landmarks: Landmarks,
+    paths: Paths | None,
+    detections: DetectionSeries,
+    doppler: bool = True,
+) -> Bound:
+    """PCRB (17) at the true track with the R and the detections of this run and the true association.
+
+    Paths of higher order carry no information here, as for the filters: the measurement model does not describe them.
+    """
+    scans = build.scans(scenario, detections)
+    label = landmark_of_detections(scenario, track, landmarks, paths, detections)
+    label[landmarks.order[label] > 1] = CLUTTER
+    covariance = np.broadcast_to(np.eye(6), (track.steps, len(landmarks), 6, 6)).copy()
+    step = np.repeat(np.arange(scans.steps), np.diff(scans.offsets))
+    real = label >= 0
+    covariance[step[real], label[real]] = scans.covariance[real]
+    return pcrb(
+        track.state,
+        track.start,
+        build.prior(scenario)[1],
+        build.motion(scenario),
+        landmarks.position,
+        landmarks.kind.astype(np.int64),
+        covariance,
+        detection_mask(label, scans.offsets, len(landmarks)),
+        np.array(scenario.base_station.position),
+        height=scenario.receiver.height,
+        doppler=doppler,
+    )

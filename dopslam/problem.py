@@ -1,0 +1,133 @@
+"""From a scenario to the parameter records of motion, simulation and filters, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+from dopslam.config.belief import BeliefConfig
+from dopslam.config.scenario import Scenario
+from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
+from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.scans import Scans, from_detections
+from dopslam.records import DetectionSeries, Kind, Landmarks
+from dopslam.simulate.world import FixedNoise, Situation
+from dopslam.slam.belief.adapter import Setup, turning
+from dopslam.slam.belief.records import TYPES, Assumptions
+from dopslam.slam.pmb.ek_pmb import FilterParameters
+
+
+def motion(scenario: Scenario) -> CoordinatedTurn:
+    """Coordinated turn, eq. (1), with the scenario's speed and turn rate, both known to the filter."""
+    track = scenario.track
+    return CoordinatedTurn(track.period, np.diag(np.square(track.process_std)), track.speed, track.turn_rate)
+
+
+def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
+    """Mean (4,) and covariance (4, 4) of the receiver's initial knowledge.
+
+    ``reading`` takes ``track.start_std`` as standard deviations (``"std"``) or, paper A's Section V to the letter, as
+    variances (``"var"``).
+    """
+    spread = np.array(scenario.track.start_std)
+    return np.array(scenario.track.start), np.diag(spread**2 if reading == "std" else spread)
+
+
+def model_landmarks(scenario: Scenario) -> Landmarks:
+    """Landmarks that the model source draws detections from: the BS, the listed VAs, the scatter points."""
+    anchors, points = scenario.source.model.virtual_anchors, scenario.scatter_point
+    return Landmarks(
+        name=np.array(["BS", *(f"VA{i}" for i in range(len(anchors))), *(f"SP {p.name}" for p in points)]),
+        kind=np.array([Kind.BS] + [Kind.VA] * len(anchors) + [Kind.SP] * len(points), dtype=np.int8),
+        position=np.array([scenario.base_station.position, *anchors, *(p.position for p in points)]),
+        order=np.array([0] + [1] * (len(anchors) + len(points))),
+    )
+
+
+def measurement_std(scenario: Scenario) -> np.ndarray:
+    """Standard deviations (6,) of the model source [m, rad ×4, m/s]."""
+    model = scenario.source.model
+    return np.array([model.range_std, *[model.angle_std] * 4, model.doppler_std])
+
+
+def situation(scenario: Scenario, reading: str = "std") -> Situation:
+    """The world of the model source (paper A, Section V)."""
+    model, landmarks = scenario.source.model, model_landmarks(scenario)
+    mean, covariance = prior(scenario, reading)
+    return Situation(
+        bs=np.array(scenario.base_station.position),
+        kind=landmarks.kind.astype(np.int64),
+        position=landmarks.position,
+        motion=motion(scenario),
+        prior_mean=mean,
+        prior_covariance=covariance,
+        steps=scenario.track.steps,
+        noise=FixedNoise(measurement_std(scenario), model.detection_probability, model.sp_range),
+        clutter_count=model.clutter_rate,
+        clutter_range=model.clutter_range,
+        doppler_limit=scenario.track.speed,
+        height=scenario.receiver.height,
+    )
+
+
+def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
+    """Detections of a run as the filters read them."""
+    traced = scenario.source.kind == "traced"
+    moving = not traced and scenario.track.speed > 0  # a still receiver's own speed bounds nothing
+    limit = scenario.track.speed if moving else scenario.estimator.max_radial_velocity
+    yaw = np.deg2rad(scenario.base_station.yaw_deg)
+    return from_detections(detections, bs_yaw=yaw, doppler_span=2 * limit)
+
+
+def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
+    """p_D that follows the SNR of the detections (``threshold`` on ρ), or the constant of the model source."""
+    if scenario.source.kind == "traced":
+        return SnrDetection(threshold)
+    model = scenario.source.model
+    return ConstantDetection(model.detection_probability, model.sp_range)
+
+
+def belief_setup(scenario: Scenario) -> Setup:
+    """What belief propagation is told: start and motion as the other filters, the rest from ``[belief]``."""
+    track, belief = scenario.track, scenario.belief
+    mean, covariance = prior(scenario)
+    return Setup(
+        anchor=np.array(scenario.base_station.position),
+        height=scenario.receiver.height,
+        mean=mean,
+        covariance=covariance,
+        motion=turning(track.period, track.turn_rate, np.array(track.process_std)),
+        speed=track.speed,
+        yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
+        assumptions=assumptions(belief, "single_bounce"),
+        false_alarm_tail=0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
+    )
+
+
+def assumptions(belief: BeliefConfig, types: str) -> Assumptions:
+    """What ``[belief]`` says about the features; ``types`` holds where it leaves them open."""
+    own = {field.name for field in fields(Assumptions)} - {"types"}
+    return Assumptions(types=TYPES[belief.types or types], **belief.model_dump(include=own))
+
+
+def filter_parameters(
+    scenario: Scenario, detection: DetectionModel, density: str | None = None, doppler: bool = True
+) -> FilterParameters:
+    """The filter's parameters; ``density`` overrides the scenario's ``joint`` or ``marginal``."""
+    config = scenario.filter
+    return FilterParameters(
+        joint=(density or config.density) == "joint",
+        doppler=doppler,
+        iterations=config.iterations,
+        associations=config.associations,
+        gate=config.gate,
+        survival=config.survival,
+        intensity=(config.intensity_va, config.intensity_sp),
+        prune=config.prune_existence,
+        cubature=config.linearization == "cubature",
+        reweight=config.reweight,
+        birth_intensity=(config.birth_va, config.birth_sp),
+        thinning=config.thinning,
+        detection=detection,
+    )

@@ -1,0 +1,1 @@
+"""Data association: the γ best (Murty) and marginal probabilities (loopy belief propagation)."""

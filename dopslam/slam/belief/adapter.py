@@ -1,0 +1,180 @@
+"""Belief-propagation SLAM on the detections of a traced scene: from `DetectionSeries` to the filters' common
+`History`.
+
+Azimuths and elevations become unit vectors and tangent covariances, delays become lengths, amplitudes are
+√snr. The clock bias is a coordinate of the agent's particles (0 and no walk for synchronized clocks, as paper
+B assumes). In the plane only the azimuths are used and detections far from the horizontal are left out, as
+paper B does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+
+import numpy as np
+
+from dopslam.errors import FilterError
+from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Kind
+from dopslam.slam.belief import geometry
+from dopslam.slam.belief.motion import Motion, SpeedHeading, particles
+from dopslam.slam.belief.rao_blackwell import RaoBlackwell
+from dopslam.slam.belief.records import AOD_FOR_SINGLE_BOUNCE, Assumptions, Estimate, Form, Parameters, Scan
+from dopslam.slam.history import History
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the filter is told about a scene.
+
+    Parameters
+    ----------
+    anchor : (3,) m, yaw : rad, of the base station's array
+    height : m, the receiver's plane
+    mean (4,), covariance (4, 4) : [x m, y m, heading rad, bias m] one period before the first step
+    motion : of the agent; speed : m/s at the start, speed_deviation : m/s
+    spatial : three-dimensional features; otherwise the horizontal plane
+    largest_elevation : rad, detections with a larger arrival elevation are left out in the plane
+    assumptions : on the features; false_alarm_tail : share of false alarms as strong as paths
+    detection_probability : for detections without amplitudes
+    """
+
+    anchor: np.ndarray
+    height: float
+    mean: np.ndarray
+    covariance: np.ndarray
+    motion: Motion
+    speed: float
+    speed_deviation: float = 0.0
+    yaw: float = 0.0
+    spatial: bool = True
+    largest_elevation: float = np.deg2rad(20.0)
+    assumptions: Assumptions = field(default_factory=lambda: Assumptions(types=AOD_FOR_SINGLE_BOUNCE))
+    false_alarm_tail: float = 0.1
+    detection_probability: float = 0.9
+
+
+def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_walk: float = 0.0) -> SpeedHeading:
+    """Motion of a receiver with known turn rate; process_std (4,) of [x, y, heading, bias] per step."""
+    return SpeedHeading(
+        interval, speed_walk, float(process_std[2]), turn_rate, float(process_std[0]), float(process_std[3])
+    )
+
+
+def scans_of(series: DetectionSeries, setup: Setup) -> list[Scan]:
+    """One scan per snapshot.
+
+    Raises
+    ------
+    FilterError
+        If a covariance is not positive definite.
+    """
+    return [_scan(series, series.rows(k), setup) for k in range(series.steps)]
+
+
+def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
+    aoa, aod = series.aoa[rows], series.aod[rows]
+    used = np.ones(len(aoa), bool) if setup.spatial else np.abs(aoa[:, 1]) <= setup.largest_elevation
+    aoa, aod = aoa[used], aod[used]
+    # (delay, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the
+    # elevation.
+    scale = np.ones((len(aoa), 5))
+    scale[:, 0] = SPEED_OF_LIGHT
+    scale[:, 1], scale[:, 3] = np.cos(aoa[:, 1]), np.cos(aod[:, 1])
+    covariance = series.covariance[rows][used][:, :5, :5] * scale[:, :, None] * scale[:, None, :]
+    if not setup.spatial:
+        flat = np.array([0, 1, 3])
+        covariance = covariance[:, flat][:, :, flat]
+        aoa, aod = aoa * [1.0, 0.0], aod * [1.0, 0.0]
+    covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
+    if len(covariance) and np.linalg.eigvalsh(covariance).min() <= 0:
+        raise FilterError("adapter: a detection's covariance is not positive definite; remove it or inflate it")
+    return Scan(
+        SPEED_OF_LIGHT * series.delay[rows][used],
+        geometry.unit_vector(aoa[:, 0], aoa[:, 1]),
+        geometry.unit_vector(aod[:, 0] + setup.yaw, aod[:, 1]),
+        np.sqrt(series.snr[rows][used]),
+        np.ascontiguousarray(covariance),
+    )
+
+
+def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> RaoBlackwell:
+    """The filter with false alarms, detection and search region taken from the detections.
+
+    samples : number of samples N_s behind the SNR
+    """
+    lengths = SPEED_OF_LIGHT * series.delay
+    end = float(1.2 * np.max(lengths, initial=1.0))
+    assumptions = setup.assumptions
+    if len(series.snr) == 0 or np.ptp(series.snr) == 0:  # drawn from a model without amplitudes
+        amplitude, amplitude_end = ConstantDetection(setup.detection_probability), 1.0
+        assumptions = replace(assumptions, reacquisition=0.0)
+    else:
+        amplitude_end = float(max(2 * np.sqrt(series.snr.max()), 2 * np.sqrt(series.threshold)))
+        amplitude = AmplitudeModel(float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end)
+    reach = max(end - abs(float(setup.mean[3])), 1.0)
+    parameters = Parameters(
+        **asdict(assumptions),
+        anchor=np.asarray(setup.anchor, float) * (1.0 if setup.spatial else np.array([1.0, 1.0, 0.0])),
+        amplitude=amplitude,
+        volume=(2 * reach) ** (3 if setup.spatial else 2),
+        amplitude_end=amplitude_end,
+        false_alarm_rate=max(series.false_alarm_rate, 1e-3),
+        distance_end=end,
+        rescale_covariance=False,
+        spatial=setup.spatial,
+    )
+    return RaoBlackwell(parameters, setup.motion)
+
+
+def start_of(setup: Setup, rng: np.random.Generator, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Particles (N, 8) of the Gaussian prior and log weights (N,)."""
+    root = np.linalg.cholesky(setup.covariance + 1e-18 * np.eye(4))
+    state = setup.mean + rng.standard_normal((size, 4)) @ root.T
+    speed = setup.speed + setup.speed_deviation * rng.standard_normal(size)
+    height = setup.height if setup.spatial else 0.0
+    position = np.column_stack([state[:, :2], np.full(size, height)])
+    velocity = speed[:, None] * geometry.unit_vector(state[:, 2])
+    return particles(position, velocity, state[:, 3], state[:, 2]), np.zeros(size)
+
+
+def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: int = 0) -> History:
+    """Track and map from detections.
+
+    Returns
+    -------
+    History
+        The record that the EK-PMB filters give: states [x m, y m, heading rad, bias m] and the declared map.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    filter_ = filter_of(series, setup)
+    state = filter_.init(*start_of(setup, rng, particles))
+    estimates = []
+    for scan in scans_of(series, setup):
+        state, info = filter_.step(rng, state, scan)
+        estimates.append(info.estimate)
+    return history_of(estimates, setup.assumptions.types)
+
+
+def history_of(estimates: list[Estimate], types: tuple[Form, ...]) -> History:
+    """Estimates of all steps as the filters' common record."""
+    virtual = np.array([form != Form.PS for form in types])
+    va = np.concatenate([np.zeros(0), *(e.type_belief[:, virtual].sum(axis=1) for e in estimates)])
+    return History(
+        mean=np.array([[*e.position[:2], e.heading, e.bias] for e in estimates]),
+        covariance=np.array([e.state_covariance for e in estimates]),
+        map_offsets=np.concatenate([[0], np.cumsum([len(e.label) for e in estimates])]).astype(np.int64),
+        position=np.concatenate([np.zeros((0, 3)), *(e.feature for e in estimates)]),
+        position_covariance=np.concatenate([np.zeros((0, 3, 3)), *(e.feature_covariance for e in estimates)]),
+        existence=np.concatenate([np.zeros(0), *(e.existence for e in estimates)]),
+        va_probability=va,
+        kind=np.where(va > 0.5, int(Kind.VA), int(Kind.SP)),
+        track=np.concatenate([np.zeros(0, int), *(e.label for e in estimates)]).astype(np.int64),
+    )
+
+
+def synchronized(setup: Setup) -> Setup:
+    """The same setup with the clock known: no bias uncertainty and no walk (paper B's assumption)."""
+    covariance = np.array(setup.covariance, float)
+    covariance[3, :] = covariance[:, 3] = 0.0
+    return replace(setup, covariance=covariance, motion=replace(setup.motion, bias_walk=0.0))

@@ -1,0 +1,1 @@
+"""Distance-only belief propagation with several anchors, the setting of paper B's reference [1]."""

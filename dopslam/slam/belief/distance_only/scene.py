@@ -1,0 +1,87 @@
+"""The synthetic setting of the distance-only filter: a room, a track, distances with noise, misses and false alarms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dopslam.slam.belief.distance_only.filter import RangeParameters
+
+
+@dataclass(frozen=True)
+class RangeScenario:
+    """Track (K, 2) m and per anchor the true features (L_j, 2) m, the anchor itself first."""
+
+    track: np.ndarray
+    features: tuple[np.ndarray, ...]
+
+    @property
+    def anchors(self) -> np.ndarray:
+        """(J, 2) m."""
+        return np.array([f[0] for f in self.features])
+
+    def draw(self, rng: np.random.Generator, parameters: RangeParameters) -> list[list[np.ndarray]]:
+        """Distances per step and anchor: detected paths with noise, and false alarms."""
+        scans = []
+        for place in self.track:
+            step = []
+            for features in self.features:
+                true = np.linalg.norm(features - place, axis=1)
+                seen = rng.random(true.size) < parameters.detection
+                noisy = true[seen] + parameters.deviation * rng.standard_normal(seen.sum())
+                false = rng.uniform(0, parameters.distance_end, rng.poisson(parameters.clutter))
+                step.append(rng.permutation(np.concatenate([noisy, false])))
+            scans.append(step)
+        return scans
+
+
+def office(steps: int = 900, length: float = 0.03) -> RangeScenario:
+    """A 10 m × 8 m room with two anchors and eleven anchors in all: images in the four walls, one of second
+    order.
+
+    The track is a figure of eight, walked in steps of ``length`` [m].
+    """
+    width, depth = 10.0, 8.0
+
+    def images(a):
+        return [a, [-a[0], a[1]], [2 * width - a[0], a[1]], [a[0], -a[1]], [a[0], 2 * depth - a[1]]]
+
+    # Both on one side: on the line between two anchors, distances alone cannot tell left from right.
+    first, second = [1.6, 1.5], [8.3, 1.2]
+    maps = (np.array([*images(first), [2 * width - first[0], -first[1]]]), np.array(images(second)))
+    phase = np.linspace(0, 6 * np.pi, 60001)
+    path = np.column_stack([5 + 3.2 * np.sin(phase), 5 + 1.6 * np.sin(2 * phase)])
+    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    reached = length * np.arange(1, steps + 1)
+    return RangeScenario(np.column_stack([np.interp(reached, arc, path[:, a]) for a in range(2)]), maps)
+
+
+def bound(scenario: RangeScenario, parameters: RangeParameters, radius: float = 0.5, speed: float = 0.05) -> np.ndarray:
+    """(K,) PCRB of the position [m] with the association known and the map unknown.
+
+    The information filter over agent and features at the true places, with p_D of every distance's information and the
+    filter's motion model; ``radius`` [m] and ``speed`` [m/s] of the start.
+    """
+    p = parameters
+    known = scenario.anchors
+    unknown = np.concatenate([f[1:] for f in scenario.features])
+    size = 4 + 2 * len(unknown)
+    covariance = np.diag([radius**2 / 4] * 2 + [speed**2 / 3] * 2 + [100.0] * (size - 4))
+    transition, gain = np.eye(size), np.zeros((size, 2))
+    transition[:2, 2:4] = p.interval * np.eye(2)
+    gain[:2], gain[2:4] = 0.5 * p.interval**2 * np.eye(2), p.interval * np.eye(2)
+    noise = p.acceleration**2 * gain @ gain.T
+    out = np.empty(len(scenario.track))
+    for k, place in enumerate(scenario.track):
+        covariance = transition @ covariance @ transition.T + noise
+        e = np.concatenate([place - known, place - unknown])
+        e /= np.linalg.norm(e, axis=1, keepdims=True)
+        h = np.zeros((len(e), size))
+        h[:, :2] = e
+        for i in range(len(unknown)):
+            h[len(known) + i, 4 + 2 * i : 6 + 2 * i] = -e[len(known) + i]
+        information = p.detection / p.deviation**2 * h.T @ h
+        covariance = np.linalg.inv(np.linalg.inv(covariance) + information)
+        out[k] = np.sqrt(np.trace(covariance[:2, :2]))
+    return out

@@ -1,0 +1,1 @@
+"""Paper B's stacked particles, the form that reproduces the paper."""

@@ -1,0 +1,1 @@
+"""The EK-PMB filters of paper A: density, recursion, smoother and mixture."""

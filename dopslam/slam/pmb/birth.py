@@ -1,0 +1,295 @@
+"""New landmarks from single measurements: closed-form start, Gauss-Newton, and the birth integral by
+Laplace's method.
+
+With R̃ = R + A P_s Aᵀ, the term of type m in ρ^new is
+p_D λ (2π)^{(3 - m_z)/2} |R̃|^{-1/2} |BᵀR̃⁻¹B|^{-1/2} exp(-χ²_min/2): the residual of the m_z - 3 redundant
+rows rejects clutter. It does not tell types: every SP has a VA twin with the same measurement.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dopslam.compiled import compiled
+from dopslam.models.kernels import SP, VA, cholesky, linearize, solve_lower, subtract
+from dopslam.slam.pmb.density import look_up
+
+MAX_STEPS = 8
+OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
+TWIN = 5.0  # an SP is hardly more than e^5 times as likely as its VA twin, equal intensities given (both fit alike)
+CONVERGED = 1e-2  # remaining decrease of χ² below which Gauss-Newton stops
+REDUNDANT_LIMIT = 50.0  # χ²_min above which a measurement is no single-bounce path
+
+
+@compiled
+def log_spreading(kind, landmark, state, site):
+    """Log of the geometric spreading loss: d² for BS and VA, d₁²·d₂² for SP."""
+    if kind == 0:
+        near = (site[0] - state[0]) ** 2 + (site[1] - state[1]) ** 2 + (site[2] - site[3]) ** 2
+        return math.log(near)
+    near = (landmark[0] - state[0]) ** 2 + (landmark[1] - state[1]) ** 2 + (landmark[2] - site[3]) ** 2
+    loss = math.log(max(near, 1e-6))
+    if kind == SP:
+        far = (landmark[0] - site[0]) ** 2 + (landmark[1] - site[1]) ** 2 + (landmark[2] - site[2]) ** 2
+        loss += math.log(max(far, 1e-6))
+    return loss
+
+
+@compiled
+def starting_point(z, state, kind, site, x):
+    """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the
+    direct one.
+
+    VA: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
+    their mean.
+    """
+    length = z[0] - state[3]
+    wx, wy, wz = site[0] - state[0], site[1] - state[1], site[2] - site[3]
+    direct2 = wx * wx + wy * wy + wz * wz
+    if not length * length > direct2 or length <= 0.0:
+        return False
+    azimuth = z[1] + state[2]
+    flat = math.cos(z[2])
+    qx, qy, qz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(z[2])
+    if kind == VA:
+        x[0] = state[0] + length * qx
+        x[1] = state[1] + length * qy
+        x[2] = site[3] + length * qz
+        return True
+    flat = math.cos(z[4])
+    px, py, pz = flat * math.cos(z[3]), flat * math.sin(z[3]), math.sin(z[4])
+    excess = length * length - direct2
+    arrival = 0.5 * excess / (length - (wx * qx + wy * qy + wz * qz))
+    departure = 0.5 * excess / (length + (wx * px + wy * py + wz * pz))
+    x[0] = 0.5 * (state[0] + arrival * qx + site[0] + departure * px)
+    x[1] = 0.5 * (state[1] + arrival * qy + site[1] + departure * py)
+    x[2] = 0.5 * (site[3] + arrival * qz + site[2] + departure * pz)
+    return True
+
+
+@compiled
+def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain, covariance):
+    """Gauss-Newton for x̂ = argmin χ²(x) with the UE's uncertainty in R̃.
+
+    Parameters
+    ----------
+    z, noise : (m,), (m, m) measurement and R
+    state, state_covariance : (n,), (n, n)
+    kind : int
+    site : 5-tuple
+    enough : float; stop after one step if log_volume - ½χ²_min is expected below this (-inf: always converge)
+    x : (3,) array, start; overwritten with x̂
+    gain : (3, m) array, written: G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹
+    covariance : (3, 3) array, written: (BᵀR̃⁻¹B)⁻¹
+
+    Returns
+    -------
+    valid : bool
+    chi2 : float, χ²_min
+    log_volume : float, -½ ln|R̃| - ½ ln|BᵀR̃⁻¹B|
+    """
+    m = z.shape[0]
+    n = state.shape[0]
+    predicted = np.empty(m)
+    by_state = np.empty((m, n))
+    white = np.empty((m, 4))  # columns: L⁻¹B and L⁻¹ν
+    by_landmark = np.empty((m, 3))
+    factor = np.empty((m, m))
+    information = np.empty((3, 3))
+    step = np.empty(3)
+    nu = np.empty(m)
+    moved = np.empty((m, n))
+    chi2 = np.inf
+    log_volume = 0.0
+    for iteration in range(MAX_STEPS):
+        valid = linearize(state, x, kind, site, predicted, by_state, by_landmark)
+        subtract(z, predicted, by_landmark, by_state, nu)
+        for i in range(m):
+            for b in range(n):
+                value = 0.0
+                for a in range(n):
+                    value += by_state[i, a] * state_covariance[a, b]
+                moved[i, b] = value
+            for j in range(i + 1):
+                value = noise[i, j]
+                for b in range(n):
+                    value += moved[i, b] * by_state[j, b]
+                factor[i, j] = value
+        if not cholesky(factor, m):
+            return False, np.inf, 0.0
+        for i in range(m):
+            for j in range(3):
+                white[i, j] = by_landmark[i, j]
+            white[i, 3] = nu[i]
+        solve_lower(factor, m, white)
+        for i in range(3):
+            step[i] = 0.0
+            for j in range(3):
+                information[i, j] = 0.0
+            for k in range(m):
+                step[i] += white[k, i] * white[k, 3]
+                for j in range(3):
+                    information[i, j] += white[k, i] * white[k, j]
+        chi2 = 0.0
+        for k in range(m):
+            chi2 += white[k, 3] * white[k, 3]
+        if not cholesky(information, 3):
+            return False, np.inf, 0.0
+        decrease = 0.0
+        for i in range(3):  # forward, then backward substitution
+            for k in range(i):
+                step[i] -= information[i, k] * step[k]
+            step[i] /= information[i, i]
+            decrease += step[i] * step[i]
+        for i in range(2, -1, -1):
+            for k in range(i + 1, 3):
+                step[i] -= information[k, i] * step[k]
+            step[i] /= information[i, i]
+        reach = math.sqrt((x[0] - state[0]) ** 2 + (x[1] - state[1]) ** 2 + (x[2] - site[3]) ** 2)
+        length = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        shrink = min(1.0, 0.3 * reach / max(length, 1e-12))
+        for i in range(3):
+            x[i] += shrink * step[i]
+        log_volume = 0.0
+        for i in range(m):
+            log_volume -= math.log(factor[i, i])
+        for i in range(3):
+            log_volume -= math.log(information[i, i])
+        if decrease < CONVERGED or log_volume - 0.5 * (chi2 - decrease) < enough:
+            chi2 -= decrease
+            break
+        if iteration == 0 and chi2 - decrease > 4.0 * REDUNDANT_LIMIT + 100.0:
+            return False, chi2, 0.0
+    if not valid:
+        return False, chi2, 0.0
+    # covariance = (C Cᵀ)⁻¹ with the Cholesky factor C; gain = covariance · (L⁻¹B)ᵀ L⁻¹
+    inverse = np.zeros((3, 3))
+    for j in range(3):
+        inverse[j, j] = 1.0 / information[j, j]
+        for i in range(j + 1, 3):
+            value = 0.0
+            for k in range(j, i):
+                value -= information[i, k] * inverse[k, j]
+            inverse[i, j] = value / information[i, i]
+    for i in range(3):
+        for j in range(3):
+            value = 0.0
+            for k in range(3):
+                value += inverse[k, i] * inverse[k, j]
+            covariance[i, j] = value
+    for j in range(m - 1, -1, -1):  # rows of (L⁻¹B)ᵀ L⁻¹ by back substitution with Lᵀ
+        for c in range(3):
+            value = white[j, c]
+            for k in range(j + 1, m):
+                value -= factor[k, j] * white[k, c]
+            white[j, c] = value / factor[j, j]
+    for i in range(3):
+        for j in range(m):
+            gain[i, j] = (
+                covariance[i, 0] * white[j, 0] + covariance[i, 1] * white[j, 1] + covariance[i, 2] * white[j, 2]
+            )
+    return True, chi2, log_volume
+
+
+@compiled
+def visible_share(x, spread, state, kind, model):
+    """Φ((range - d)/σ_d): the share of an SP's distance density that lies within the SP range; 1 for other
+    kinds.
+
+    `spread` is the covariance (3, 3) of the vector from the UE to the landmark.
+    """
+    if kind != SP or model.sp_range == np.inf:
+        return 1.0
+    rx, ry, rz = x[0] - state[0], x[1] - state[1], x[2] - model.site[3]
+    distance = math.sqrt(rx * rx + ry * ry + rz * rz)
+    variance = (
+        rx * (spread[0, 0] * rx + 2.0 * spread[0, 1] * ry + 2.0 * spread[0, 2] * rz)
+        + ry * (spread[1, 1] * ry + 2.0 * spread[1, 2] * rz)
+        + rz * spread[2, 2] * rz
+    ) / (distance * distance)
+    return 0.5 * math.erfc((distance - model.sp_range) / math.sqrt(2.0 * max(variance, 1e-12)))
+
+
+@compiled
+def undetected_intensity(x, spread, kind, reference, density, model):
+    """λ^m(x) before this scan: λ ← p_S (1 - p_D(x)) λ + λ_B over the UE's trail, or constant without
+    thinning.
+    """
+    start = model.intensity[kind - VA]
+    born = model.birth_intensity[kind - VA]
+    if not model.thinning:
+        return start + born
+    total, kept = born, 1.0
+    past = density.mean[: density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)].copy()
+    for k in range(density.trail.shape[0] - 1, -1, -1):
+        past[0], past[1] = density.trail[k, 0], density.trail[k, 1]
+        detected = visible_share(x, spread, past, kind, model)
+        if detected > 0.0:
+            detected *= look_up(model.table, reference - log_spreading(kind, x, past, model.site))
+        kept *= model.survival * (1.0 - detected)
+        total += kept * born
+        if kept < 1e-12:
+            return total
+    return total + kept * model.survival * start
+
+
+@compiled
+def new_hypotheses(density, n, scan, local, model):
+    """Birth terms of every measurement.
+
+    Returns
+    -------
+    log_term : (M, 2) array; log of the birth integral of VA and SP, -inf where impossible
+    log_new : (M,) array; ln ρ^new = ln(c + Σ terms)
+    position : (M, 2, 3) array; x̂ of each
+    """
+    count, m = scan.z.shape
+    state = density.mean[:n]
+    state_covariance = density.covariance[:n, :n].copy()
+    log_term = np.full((count, 2), -np.inf)
+    log_new = np.empty(count)
+    position = np.zeros((count, 2, 3))
+    gain = np.empty((3, m))
+    covariance = np.empty((3, 3))
+    constant = 0.5 * (3 - m) * math.log(2.0 * math.pi)
+    for p in range(count):
+        total = scan.clutter
+        best_track = -np.inf
+        for t in range(local.log_ratio.shape[1]):
+            best_track = max(best_track, local.log_ratio[p, t])
+        twin = np.inf  # how well the VA fits, and with it the SP at its incidence point
+        for t in range(2):
+            kind = VA + t
+            most = math.log(model.intensity[t] + model.birth_intensity[t]) + constant
+            x = position[p, t]
+            if t == 1 and twin + TWIN + most < best_track - OUTWEIGHED:
+                continue
+            if not starting_point(scan.z[p], state, kind, model.site, x):
+                continue
+            valid, chi2, log_volume = fit_landmark(
+                scan.z[p],
+                scan.covariance[p],
+                state,
+                state_covariance,
+                kind,
+                model.site,
+                best_track - OUTWEIGHED - most,
+                x,
+                gain,
+                covariance,
+            )
+            if not valid or not chi2 < REDUNDANT_LIMIT:
+                continue
+            if t == 0:
+                twin = log_volume - 0.5 * chi2
+            reference = scan.log_snr[p] + log_spreading(kind, x, state, model.site)
+            detected = look_up(model.table, scan.log_snr[p]) * visible_share(x, covariance, state, kind, model)
+            intensity = undetected_intensity(x, covariance, kind, reference, density, model)
+            if detected * intensity <= 0.0:
+                continue
+            log_term[p, t] = math.log(detected * intensity) + constant + log_volume - 0.5 * chi2
+            total += math.exp(log_term[p, t])
+        log_new[p] = math.log(total)
+    return log_term, log_new, position

@@ -1,0 +1,314 @@
+"""The EK-PMB SLAM filter of paper A, Section IV: one recursion, two densities.
+
+`step` reads as the paper's block diagram. The paper's filter (`joint=False`) keeps only the marginals of UE
+and map after each step, (31)-(32), and becomes overconfident; ours (`joint=True`, default) keeps one
+Gaussian over UE and landmarks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
+from dopslam.errors import FilterError
+from dopslam.models.kernels import propagate_state
+from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.scans import Scans
+from dopslam.slam.history import COLUMNS, Diagnostics, History, history_of, write_map
+from dopslam.slam.pmb.birth import new_hypotheses
+from dopslam.slam.pmb.density import (
+    BS_TRACK,
+    NO_TRACK,
+    PMB,
+    FilterParameters,
+    Model,
+    Scan,
+    compile_model,
+    initial_density,
+    select,
+)
+from dopslam.slam.pmb.hypotheses import Associations, best_associations, local_hypotheses, normalize
+from dopslam.slam.pmb.update import update
+
+Array = NDArray[np.float64]
+
+
+class Info(NamedTuple):
+    """Diagnostics of one step; nothing of it is carried on.
+
+    Attributes
+    ----------
+    weight : (g,) array; normalized weights of the γ best associations
+    track : (g, M) int array; track number of each measurement, -1 for the BS, -2 for new or clutter
+    existence : (M,) array; predicted existence of the track that the likeliest association gives each
+    measurement nis : float; νᵀS⁻¹ν of the likeliest association
+    rows : int; its degrees of freedom
+    """
+
+    weight: Array
+    track: NDArray[np.int64]
+    existence: Array
+    nis: float
+    rows: int
+
+
+@compiled
+def ue_size(density):
+    """Entries of the UE's state, 4 or 6."""
+    return density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)
+
+
+@compiled
+def predict(density, model):
+    """UE through eq. (1), r ← p_S r; landmarks are static and the BS always exists."""
+    n = ue_size(density)
+    size = density.mean.shape[0]
+    jacobian = np.empty((n, n))
+    mean = density.mean.copy()
+    covariance = density.covariance.copy()
+    moved_state = propagate_state(density.mean[:n], model.interval, model.site[4], model.turn_rate, jacobian)
+    copy_vector(moved_state, mean)
+    moved = np.zeros((n, size))
+    for i in range(n):
+        for k in range(n):
+            f = jacobian[i, k]
+            if f != 0.0:
+                for j in range(size):
+                    moved[i, j] += f * density.covariance[k, j]
+    for i in range(n):
+        for j in range(n, size):
+            covariance[i, j] = moved[i, j]
+            covariance[j, i] = moved[i, j]
+        for j in range(i + 1):
+            value = model.process_noise[i, j]
+            for k in range(n):
+                value += moved[i, k] * jacobian[j, k]
+            covariance[i, j] = value
+            covariance[j, i] = value
+    weight = density.weight * model.survival
+    weight[0] = 1.0
+    return PMB(
+        mean,
+        covariance,
+        density.kind,
+        weight,
+        density.track,
+        density.reference,
+        density.detections,
+        density.trail,
+    )
+
+
+@inlined
+def worth_updating(associations, negligible):
+    """The associations above `negligible` times the best weight, renormalized."""
+    keep = 0
+    while keep < associations.log_weight.shape[0] and associations.log_weight[keep] >= associations.log_weight[
+        0
+    ] + math.log(negligible):
+        keep += 1
+    return Associations(normalize(associations.log_weight[:keep]), associations.track[:keep])
+
+
+@compiled
+def prune(density, threshold):
+    """Drop the blocks whose weight lies below `threshold`."""
+    kept = np.empty(density.kind.shape[0], dtype=np.int64)
+    count = 1
+    kept[0] = 0
+    for b in range(1, density.kind.shape[0]):
+        if density.weight[b] >= threshold:
+            kept[count] = b
+            count += 1
+    if count == density.kind.shape[0]:
+        return density
+    return select(density, kept[:count])
+
+
+@inlined
+def name_tracks(prior, local, associations, final_log_weight):
+    """Diagnostics: weights (the likeliest association first), track numbers and existence."""
+    count = associations.track.shape[1]
+    weight = np.empty(associations.log_weight.shape[0])
+    kept = final_log_weight.shape[0]
+    mass = 0.0
+    for a in range(weight.shape[0]):
+        weight[a] = math.exp(associations.log_weight[a])
+        mass += weight[a] if a < kept else 0.0
+    best = 0
+    for a in range(kept):
+        weight[a] = mass * math.exp(final_log_weight[a])
+        if weight[a] > weight[best]:
+            best = a
+    track = np.empty(associations.track.shape, dtype=np.int64)
+    existence = np.zeros(count)
+    for p in range(count):
+        for a in range(weight.shape[0]):
+            t = associations.track[a, p]
+            track[a, p] = prior.track[local.first[t]] if t >= 0 else NO_TRACK
+        t = associations.track[best, p]
+        if t >= 0:
+            for b in range(local.first[t], local.first[t + 1]):
+                existence[p] += prior.weight[b]
+    if best > 0:
+        for p in range(count):
+            track[0, p], track[best, p] = track[best, p], track[0, p]
+        weight[0], weight[best] = weight[best], weight[0]
+    return weight, track, existence
+
+
+@inlined
+def step(posterior, scan, model):
+    """One recursion (30) with γ data associations; returns the next posterior and its diagnostics.
+
+    Parameters
+    ----------
+    posterior : PMB after the previous scan
+    scan : Scan
+    model : Model
+    """
+    n = ue_size(posterior)
+    prior = predict(posterior, model)
+    local = local_hypotheses(prior, n, scan, model)
+    log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
+    associations, _ = best_associations(local, log_new, model)
+    chosen = worth_updating(associations, model.negligible)
+    updated, log_weight, nis, rows = update(prior, n, local, scan, chosen, log_term, log_new, position, model)
+    weight, track, existence = name_tracks(prior, local, associations, log_weight)
+    return prune(updated, model.prune), Info(weight, track, existence, nis, rows)
+
+
+@compiled
+def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
+    """The recursion over all scans; `at[0]` holds the step in work, for the message of an error.
+
+    Parameters
+    ----------
+    z, covariance, log_snr : (N, m), (N, m, m), (N,) arrays; scan k owns rows offsets[k]:offsets[k + 1]
+    clutter : float; clutter intensity c(z)
+    density : PMB before the first scan
+    model : Model
+    at : (1,) int array
+
+    Returns
+    -------
+    density : PMB after the last scan
+    mean, covariance, map_offsets, table : as `history.history_of` reads them
+    weight, count : (K, γ), (K,) arrays; association weights and how many there are
+    track : (γ, N) int array; track of each measurement in each association
+    existence, nis, rows : (N,), (K,), (K,) arrays; as in `Info`
+    """
+    steps, n = offsets.shape[0] - 1, density.mean.shape[0]
+    mean, spread = np.empty((steps, n)), np.empty((steps, n, n))
+    map_offsets, table = np.zeros(steps + 1, dtype=np.int64), np.empty((16 * steps, COLUMNS))
+    weight, count = np.zeros((steps, model.gamma)), np.empty(steps, dtype=np.int64)
+    track, existence = np.empty((model.gamma, z.shape[0]), dtype=np.int64), np.empty(z.shape[0])
+    nis, rows = np.empty(steps), np.empty(steps, dtype=np.int64)
+    for k in range(steps):
+        at[0] = k
+        first, last = offsets[k], offsets[k + 1]
+        scan = Scan(z[first:last], covariance[first:last], log_snr[first:last], first, clutter)
+        density, info = step(density, scan, model)
+        copy_vector(density.mean[:n], mean[k])
+        copy_matrix(density.covariance[:n, :n], spread[k])
+        while map_offsets[k] + density.kind.shape[0] > table.shape[0]:
+            larger = np.empty((2 * table.shape[0], COLUMNS))
+            copy_matrix(table, larger)
+            table = larger
+        map_offsets[k + 1] = write_map(density, table, map_offsets[k])
+        count[k] = info.weight.shape[0]
+        copy_vector(info.weight, weight[k])
+        copy_matrix(info.track, track[:, first:last])
+        copy_vector(info.existence, existence[first:last])
+        nis[k], rows[k] = info.nis, info.rows
+    return density, mean, spread, map_offsets, table[: map_offsets[steps]], weight, count, track, existence, nis, rows
+
+
+def scan_arrays(scans: Scans, doppler: bool) -> tuple[Array, Array, Array, NDArray[np.int64], float]:
+    """Measurements, covariances, ln ρ (zeros where unknown), offsets and clutter intensity of all scans, with or
+    without the Doppler row.
+    """
+    m = 6 if doppler else 5
+    return (
+        np.array(scans.z[:, :m], order="C"),  # a copy: read-only arrays would be compiled for anew
+        np.array(scans.covariance[:, :m, :m], order="C"),
+        np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12)),
+        scans.offsets.astype(np.int64),
+        scans.clutter_intensity(doppler),
+    )
+
+
+def scan_of(scans: Scans, k: int, doppler: bool) -> Scan:
+    """Scan k in the form the recursion reads, with or without its Doppler row."""
+    z, covariance, log_snr, offsets, clutter = scan_arrays(scans, doppler)
+    rows = slice(int(offsets[k]), int(offsets[k + 1]))
+    return Scan(z[rows], covariance[rows], log_snr[rows], rows.start, clutter)
+
+
+def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array) -> None:
+    """Refuse what cannot be filtered, with a remedy."""
+    if model.use_snr and scans.snr is None:
+        raise FilterError(
+            "detection model 'snr' needs Scans.snr; give the ρ of each detection or use ConstantDetection"
+        )
+    if model.process_noise.shape[0] != np.size(mean):
+        raise FilterError(
+            f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; "
+            "use 4 for known and 6 for unknown speed and turn rate in both"
+        )
+
+
+def run(
+    scans: Scans,
+    prior: tuple[Array, Array],
+    motion: CoordinatedTurn,
+    bs: Array,
+    parameters: FilterParameters | None = None,
+    height: float = 0.0,
+) -> tuple[History, Diagnostics]:
+    """Filter a whole run.
+
+    Parameters
+    ----------
+    scans : Scans
+    prior : (mean (n,), covariance (n, n)) of the UE one interval before the first scan
+    motion : CoordinatedTurn
+    bs : (3,) array [m]
+    parameters : FilterParameters, default the joint filter
+    height : float, height of the UE's plane [m]
+
+    Returns
+    -------
+    History, Diagnostics
+
+    Raises
+    ------
+    FilterError
+        If the inputs do not fit together or a covariance stops being positive definite (its step is named).
+    """
+    parameters = parameters or FilterParameters()
+    model = compile_model(parameters, motion, bs, height)
+    check_inputs(scans, parameters, model, prior[0])
+    arrays, at = scan_arrays(scans, parameters.doppler), np.zeros(1, dtype=np.int64)
+    try:
+        _, mean, covariance, map_offsets, table, weight, count, track, existence, nis, rows = filter_scans(
+            *arrays, initial_density(*prior), model, at
+        )
+    except ValueError as error:
+        raise FilterError(f"step {at[0]}: {error}; check the measurement covariances and the prior") from error
+    owned = [scans.rows(k) for k in range(scans.steps)]
+    diagnostics = Diagnostics(
+        nis=nis,
+        nis_rows=rows,
+        weights=tuple(w[:g] for w, g in zip(weight, count, strict=True)),
+        associations=tuple(track[:g, s] for g, s in zip(count, owned, strict=True)),
+        existence=tuple(existence[s] for s in owned),
+    )
+    return history_of(mean, covariance, map_offsets, table), diagnostics
+
+
+__all__ = ["BS_TRACK", "NO_TRACK", "Diagnostics", "FilterParameters", "History", "Info", "run", "step"]

@@ -1,0 +1,191 @@
+"""Local hypotheses and their global combinations: what each measurement may come from, and the γ best ways
+at once.
+
+Weights are kept as logarithms. A detected track costs -ln(ρ^{i,p}/ρ^{i,0}), a measurement that is new or
+clutter -ln ρ^{new,p} in a column of its own, so that the cost of an association is minus its log-weight up
+to a constant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.compiled import compiled, inlined
+from dopslam.models.kernels import cholesky, solve_lower_vector, subtract
+from dopslam.slam.association.murty import k_best
+from dopslam.slam.pmb.birth import log_spreading, visible_share
+from dopslam.slam.pmb.density import look_up, start_of
+from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
+
+Array = NDArray[np.float64]
+
+
+class Local(NamedTuple):
+    """Local hypotheses of all blocks and measurements.
+
+    Attributes
+    ----------
+    detection : (H + 1,) array; p_D of each block
+    log_detected : (M, H + 1) array; ln(β p_D N(z; ẑ, S)) of each pair, -inf outside the gate
+    first : (T + 1,) int array; blocks of track t are first[t]:first[t + 1], track 0 is the BS
+    log_missed : (T,) array; ln ρ^{i,0}
+    log_ratio : (M, T) array; ln(ρ^{i,p}/ρ^{i,0})
+    """
+
+    detection: Array
+    log_detected: Array
+    first: NDArray[np.int64]
+    log_missed: Array
+    log_ratio: Array
+
+
+class Associations(NamedTuple):
+    """The γ best data associations: log-weights (normalized) and the track of each measurement, -1 where
+    new.
+    """
+
+    log_weight: Array
+    track: NDArray[np.int64]
+
+
+@compiled
+def track_starts(track):
+    """Block ranges of tracks: siblings lie side by side."""
+    starts = np.empty(track.shape[0] + 1, dtype=np.int64)
+    count = 0
+    for b in range(track.shape[0]):
+        if b == 0 or track[b] != track[b - 1]:
+            starts[count] = b
+            count += 1
+    starts[count] = track.shape[0]
+    return starts[: count + 1].copy()
+
+
+@compiled
+def relative_spread(covariance, n, block):
+    """Covariance (3, 3) of the vector from the UE to a landmark block."""
+    start = start_of(n, block)
+    spread = covariance[start : start + 3, start : start + 3].copy()
+    for i in range(3):
+        for j in range(2):
+            spread[i, j] -= covariance[start + i, j]
+            spread[j, i] -= covariance[start + i, j]
+    for i in range(2):
+        for j in range(2):
+            spread[i, j] += covariance[i, j]
+    return spread
+
+
+@compiled
+def detection_probability(density, n, block, model):
+    """p_D of a block: from its predicted SNR, times the share of its density within the SP range."""
+    if block == 0:
+        if density.detections[0] == 0.0 and model.use_snr:
+            return model.table[-1]
+        return look_up(model.table, density.reference[0] - log_spreading(0, density.mean, density.mean, model.site))
+    start = start_of(n, block)
+    x = density.mean[start : start + 3]
+    kind = density.kind[block]
+    share = visible_share(x, relative_spread(density.covariance, n, block), density.mean, kind, model)
+    return share * look_up(model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site))
+
+
+@compiled
+def local_hypotheses(density, n, scan, model):
+    """Missed and detected terms of every track (theory: ρ^{i,0}, ρ^{i,p})."""
+    count, m = scan.z.shape
+    blocks = density.kind.shape[0]
+    size = density.mean.shape[0]
+    detection = np.empty(blocks)
+    log_detected = np.full((count, blocks), -np.inf)
+    predicted, nu = np.empty(m), np.empty(m)
+    by_state, by_landmark = np.empty((m, n)), np.empty((m, 3))
+    extra, base, factor = np.empty((m, m)), np.empty((m, m)), np.empty((m, m))
+    projected = np.empty((m, size))
+    constant = -0.5 * m * math.log(2.0 * math.pi)
+    for b in range(blocks):
+        kind = density.kind[b]
+        detection[b] = detection_probability(density, n, b, model)
+        if not linearize_block(
+            density.mean, density.covariance, n, b, kind, model, predicted, by_state, by_landmark, extra
+        ):
+            detection[b] = 0.0
+        if detection[b] * density.weight[b] <= 1e-12:
+            continue
+        project_rows(density.covariance, n, b, by_state, by_landmark, projected)
+        innovation_covariance(projected, n, b, by_state, by_landmark, extra, base)
+        log_prior = math.log(density.weight[b] * detection[b])
+        for p in range(count):
+            subtract(scan.z[p], predicted, by_landmark, by_state, nu)
+            near = True
+            for i in range(m):  # each row alone bounds the distance from below
+                near = near and nu[i] * nu[i] < model.gate * (base[i, i] + scan.covariance[p, i, i])
+            if not near:
+                continue
+            for i in range(m):
+                for j in range(m):
+                    factor[i, j] = base[i, j] + scan.covariance[p, i, j]
+            if not cholesky(factor, m):
+                raise ValueError("innovation covariance of a track is not positive definite")
+            distance = solve_lower_vector(factor, m, nu)
+            if distance < model.gate:
+                log_density = constant - 0.5 * distance
+                for i in range(m):
+                    log_density -= math.log(factor[i, i])
+                log_detected[p, b] = log_prior + log_density
+    first = track_starts(density.track)
+    tracks = first.shape[0] - 1
+    log_missed = np.empty(tracks)
+    log_ratio = np.full((count, tracks), -np.inf)
+    for t in range(tracks):
+        missed = 1.0
+        for b in range(first[t], first[t + 1]):
+            missed -= density.weight[b] * detection[b]
+        log_missed[t] = math.log(max(missed, 1e-12))
+        for p in range(count):
+            top = -np.inf
+            for b in range(first[t], first[t + 1]):
+                top = max(top, log_detected[p, b])
+            if top > -np.inf:
+                total = 0.0
+                for b in range(first[t], first[t + 1]):
+                    total += math.exp(log_detected[p, b] - top)
+                log_ratio[p, t] = top + math.log(total) - log_missed[t]
+    return Local(detection, log_detected, first, log_missed, log_ratio)
+
+
+@compiled
+def normalize(log_weight):
+    """Log-weights that sum to one."""
+    top, total = -np.inf, 0.0
+    for i in range(log_weight.shape[0]):
+        top = max(top, log_weight[i])
+    for i in range(log_weight.shape[0]):
+        total += math.exp(log_weight[i] - top)
+    return log_weight - (top + math.log(total))
+
+
+@inlined
+def best_associations(local, log_new, model):
+    """The γ most likely associations (Murty), with the weights of the product of single-landmark terms.
+
+    Those a tenth of `negligible` below the best are not searched for. Also returns the log of their sum, the
+    evidence of the scan apart from Σ ln ρ^{i,0}.
+    """
+    count, tracks = local.log_ratio.shape
+    cost = np.full((count, tracks + count), np.inf)
+    for p in range(count):
+        for t in range(tracks):
+            cost[p, t] = -local.log_ratio[p, t]
+        cost[p, tracks + p] = -log_new[p]
+    totals, solutions = k_best(cost, model.gamma, math.log(10.0 / model.negligible))
+    for g in range(solutions.shape[0]):
+        for p in range(count):
+            if solutions[g, p] >= tracks:
+                solutions[g, p] = -1
+    log_weight = normalize(-totals)
+    return Associations(log_weight, solutions), -totals[0] - log_weight[0]

@@ -1,0 +1,1 @@
+"""The dataset file: its schema, its columns, reading and writing."""

@@ -1,0 +1,96 @@
+"""How long a step takes, and how that grows with the number of landmarks and of detections.
+
+The least of several repetitions, CPU time without compilation.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.models.detection import ConstantDetection
+from dopslam.models.measurement import BS, SP, VA
+from dopslam.simulate.world import FixedNoise, Situation, section_v, simulate
+from dopslam.slam.pmb.density import FilterParameters, compile_model, initial_density
+from dopslam.slam.pmb.ek_pmb import filter_scans, scan_arrays
+from dopslam.studies.montecarlo import Study, run_filter
+
+Array = NDArray[np.float64]
+
+
+def microseconds_per_step(study: Study, repeats: int = 5, seed: int = 0) -> dict[str, float]:
+    """Least time per step [µs]: `recursion` (the filter's compiled loop over the scans) and `run` (with the smoother, if
+    there is one, and with the records).
+    """
+    world, parameters = study.situation, study.parameters
+    _, scans = simulate(world, seed, 0)
+    model = compile_model(parameters, world.motion, world.bs, world.height)
+    start = initial_density(world.prior_mean, world.prior_covariance)
+    calls = {
+        "recursion": lambda: filter_scans(*scan_arrays(scans, parameters.doppler), start, model, np.zeros(1, np.int64)),
+        "run": lambda: run_filter(study, scans),
+    }
+    result = {}
+    for name, call in calls.items():
+        call()
+        times = []
+        for _ in range(repeats):
+            started = time.thread_time()
+            call()
+            times.append(time.thread_time() - started)
+        result[name] = float(min(times) / scans.steps * 1e6)
+    return result
+
+
+def crowded(landmarks: int, detections: int | None = None, seed: int = 0) -> Situation:
+    """Paper A's road with `landmarks` landmarks, two of seven of them VAs; on average `detections` are seen.
+
+    Walls stand 100 to 180 m from the BS, scatter points anywhere on the plan; all are visible everywhere.
+    """
+    rng = np.random.default_rng(seed)
+    base = section_v()
+    anchors = max(1, round(2 * landmarks / 7))
+    bearing = rng.uniform(0, 2 * np.pi, anchors)
+    normal = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(anchors)])
+    va = base.bs + 2 * rng.uniform(100, 180, anchors)[:, None] * normal
+    sp = rng.uniform([-150, -150, 1], [150, 150, 30], (landmarks - anchors, 3))
+    probability = 0.9 if detections is None else min(0.98, detections / (landmarks + 1))
+    return replace(
+        base,
+        kind=np.array([BS] + [VA] * anchors + [SP] * (landmarks - anchors), dtype=np.int64),
+        position=np.vstack([base.bs, va, sp]),
+        noise=FixedNoise(base.noise.std, probability, None) if isinstance(base.noise, FixedNoise) else base.noise,
+    )
+
+
+def dense_scene() -> Situation:
+    """8 VAs and 20 SPs; SPs seen within 50 m."""
+    world = crowded(28)
+    return replace(world, noise=replace(section_v().noise, sp_range=50.0))
+
+
+def growth(repeats: int = 3) -> dict[str, Any]:
+    """Time per step over 8-64 landmarks (8 detections) and 5-40 detections (64 landmarks), with exponents."""
+
+    def measured(world: Situation) -> float:
+        noise = world.noise
+        assert isinstance(noise, FixedNoise)
+        parameters = FilterParameters(detection=ConstantDetection(noise.detection_probability, noise.sp_range))
+        return microseconds_per_step(Study(world, parameters), repeats)["recursion"]
+
+    landmarks, detections = [8, 16, 32, 64], [5, 10, 20, 40]
+    over_landmarks = [measured(crowded(n, 8)) for n in landmarks]
+    over_detections = [measured(crowded(64, m)) for m in detections]
+    return {
+        "landmarks": landmarks,
+        "over_landmarks_us": over_landmarks,
+        "landmark_exponent": float(np.polyfit(np.log(landmarks), np.log(over_landmarks), 1)[0]),
+        "detections": detections,
+        "over_detections_us": over_detections,
+        "detection_exponent": float(np.polyfit(np.log(detections), np.log(over_detections), 1)[0]),
+        "dense_scene_us": measured(dense_scene()),
+    }
