@@ -1,4 +1,4 @@
-"""Mends four defects of Sionna RT 2.2 without touching its code; all private names that we rely on are in
+"""Mends five defects of Sionna RT 2.2 without touching its code; all private names that we rely on are in
 this file.
 
 1. ``Scene._endpoints`` writes every receiver's position into the kernel as a literal, so each new trajectory
@@ -9,18 +9,24 @@ compiles
 3. The buffer of candidates drops what exceeds it, without a word. :class:`CountingSolver` notices and takes a
 larger one.
 4. A scene takes receivers one by one. :class:`Receivers` keeps those of every number that was needed.
+5. A scene is born at 3.5 GHz, and a material that is not defined there (floorboard, clear acrylic) is refused for every
+carrier. :func:`born_at` lets it be born at the carrier.
 
-A version of Sionna that was not tested keeps its own behavior in 1, 3 and 4, and whatever a mend does not cover
+A version of Sionna that was not tested keeps its own behavior in 1, 3, 4 and 5, and whatever a mend does not cover
 goes to the original.
 """
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import MethodType
 
 import numpy as np
 
 from dopslam.raytracing.backend import backend
+from dopslam.raytracing.objects import receiver_name
 
 TESTED_VERSIONS = ("2.2.0",)
 HASH_TABLE_SIZE = 7_999_993  # a prime; Sionna's 1e6 loses paths
@@ -59,6 +65,20 @@ def mend_endpoints(scene) -> None:
         scene._endpoints = MethodType(_endpoints_as_data, scene)
 
 
+@contextmanager
+def born_at(frequency: float) -> Iterator[None]:
+    """Scenes loaded within have this frequency [Hz] from the start."""
+    backend()
+    module = sys.modules["sionna.rt.scene"]
+    before = module.DEFAULT_FREQUENCY
+    if _tested():
+        module.DEFAULT_FREQUENCY = frequency
+    try:
+        yield
+    finally:
+        module.DEFAULT_FREQUENCY = before
+
+
 class Receivers:
     """The receivers of a scene; one set for every number of them, exchanged as a whole."""
 
@@ -78,7 +98,7 @@ class Receivers:
             for name in scene.receivers:
                 scene.remove(name)
             for i in range(count):
-                scene.add(rt.Receiver(name=f"ue{i}", position=mi.Point3f(0.0, 0.0, 0.0)))
+                scene.add(rt.Receiver(name=receiver_name(i), position=mi.Point3f(0.0, 0.0, 0.0)))
         if _tested():
             self._kept[count] = scene._receivers
         for device, position in zip(scene.receivers.values(), positions.tolist(), strict=True):

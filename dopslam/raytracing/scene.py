@@ -19,7 +19,8 @@ import numpy as np
 
 from dopslam.errors import SceneError
 from dopslam.raytracing.backend import backend
-from dopslam.raytracing.mends import mend_endpoints
+from dopslam.raytracing.mends import born_at, mend_endpoints
+from dopslam.raytracing.objects import name_objects
 from dopslam.raytracing.surfaces import Surfaces, build_surfaces
 
 ABSORBER = "absorber"
@@ -41,12 +42,17 @@ class SceneSource:
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene in the ray tracer (``scene``, a ``sionna.rt.Scene``) and its surfaces as arrays."""
+    """A scene in the ray tracer (``scene``, a ``sionna.rt.Scene``) and its surfaces as arrays.
+
+    ``authors_name`` is the scene file's name of every object by its name in the ray tracer: see
+    :mod:`dopslam.raytracing.objects`.
+    """
 
     scene: Any
     surfaces: Surfaces
     name: str
     carrier_frequency: float  # Hz, for which its materials were evaluated
+    authors_name: Mapping[str, str]
 
 
 def builtin_scenes() -> dict[str, Path]:
@@ -92,7 +98,10 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
     except (ET.ParseError, UnicodeDecodeError, OSError) as error:
         raise SceneError(f"{file}: not a readable XML file ({error})") from error
     _map_materials(root, source.materials, file)
-    _check_materials(root, carrier_frequency, file)
+    wrong = undefined_materials(root, carrier_frequency, file)
+    if wrong:
+        raise SceneError(wrong[0] + (f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""))
+    authors_name = name_objects(root, file)
     # Scenes are cyclic; one that is still registered changes the tracer's kernels, which compile again.
     gc.collect()
     previous = mi.file_resolver()
@@ -101,11 +110,13 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
     try:
         mi.set_file_resolver(resolver)
         # Merging shapes, the default, would destroy the names of the walls.
-        scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
+        frequency = _inside(carrier_frequency, root)
+        with born_at(frequency):
+            scene = rt.load_scene_from_string(ET.tostring(root, encoding="unicode"), merge_shapes=False)
         for material in scene.radio_materials.values():
             if not hasattr(material, "frequency_update"):  # absorbers lack it in Sionna 2.2, and the next line calls it
                 material.frequency_update = lambda: None
-        scene.frequency = carrier_frequency
+        scene.frequency = frequency
     except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         raise SceneError(f"{file}: the ray tracer refuses it ({_one_line(error)})") from error
     finally:
@@ -113,8 +124,9 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
     mend_endpoints(scene)
     pattern = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
     scene.tx_array = scene.rx_array = pattern
-    meshes = {name: _triangles(item.mi_mesh) for name, item in sorted(scene.objects.items())}
-    return LoadedScene(scene, build_surfaces(meshes), file.stem, carrier_frequency)
+    meshes = {authors_name.get(name, name): _triangles(item.mi_mesh) for name, item in scene.objects.items()}
+    surfaces = build_surfaces(dict(sorted(meshes.items())))
+    return LoadedScene(scene, surfaces, file.stem, carrier_frequency, authors_name)
 
 
 def _one_line(error: Exception) -> str:
@@ -190,31 +202,72 @@ def _map_materials(root: ET.Element, mapping: Mapping[str, str], file: Path) -> 
             bsdf.append(thickness)
 
 
-def _check_materials(root: ET.Element, carrier_frequency: float, file: Path) -> None:
-    """Refuse ITU materials that Recommendation P.2040 does not define at this frequency."""
-    table = _itu_table()
+def _used_itu_types(root: ET.Element) -> list[tuple[str, str, list[str]]]:
+    """(material, its ITU type, objects made of it) of every ITU material in use."""
+    used = []
     for bsdf in _materials(root):
-        itu = _itu_type(bsdf)
-        if itu is None:
-            continue
-        name = bsdf.get("id", "")
+        name, itu = bsdf.get("id", ""), _itu_type(bsdf)
         users = [
-            shape.get("id", "?").removeprefix("mesh-")
+            shape.get("id", "without id").removeprefix("mesh-")
             for shape in root.iter("shape")
             if bsdf in list(shape) or any(reference.get("id") == name for reference in shape.iter("ref"))
         ]
-        if not users:
-            continue
+        if itu is not None and users:
+            used.append((name, itu, users))
+    return used
+
+
+def undefined_materials(root: ET.Element, carrier_frequency: float, file: Path) -> list[str]:
+    """Sentences on the ITU materials that Recommendation P.2040 does not define at this frequency, each with its
+    remedy: the nearest material that is defined there."""
+    table, wrong, ghz = _itu_table(), [], carrier_frequency / 1e9
+    for name, itu, users in _used_itu_types(root):
         where = f"{file.name}: material {name!r} of object {', '.join(users[:3])}{'…' if len(users) > 3 else ''}"
         if itu not in table:
             near = difflib.get_close_matches(itu, table, n=1)
-            raise SceneError(
-                f"{where} has the unknown ITU type {itu!r}" + (f"; did you mean {near[0]!r}?" if near else "")
+            wrong.append(
+                f"{where} has the unknown ITU type {itu!r}"
+                + (f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(table)}")
             )
-        if not any(low <= carrier_frequency / 1e9 <= high for low, high in table[itu]):
-            ranges = ", ".join(f"{low:g} to {high:g} GHz" for low, high in table[itu])
-            raise SceneError(
+        elif not any(low <= ghz <= high for low, high in table[itu]):
+            ranges = ", ".join(f"{low:g} to {high:g} GHz" for low, high in sorted(table[itu]))
+            wrong.append(
                 f"{where} is {itu!r}, which is defined for {ranges} and not at "
-                f"{carrier_frequency / 1e9:g} GHz; map it in the scenario: [scene.materials] "
-                f"{name.removeprefix('mat-')} = 'concrete' (or another ITU type)"
+                f"{carrier_frequency / 1e9:g} GHz; {_other_material(name, itu, ghz)}"
             )
+    return wrong
+
+
+def _other_material(name: str, itu: str, ghz: float) -> str:
+    """The remedy: of the materials defined at this frequency the one that is most alike where both are defined."""
+    table = _itu_table()
+    defined = [n for n, rows in table.items() if n != "vacuum" and any(low <= ghz <= high for low, high in rows)]
+    if not defined:
+        return "no ITU material is: choose another radio.carrier_frequency, or a radio-material with values of your own"
+    alike = min(defined, key=lambda other: abs(_permittivity(other) - _permittivity(itu)))
+    return (
+        f"map it in the scenario: [scene.materials] {name.removeprefix('mat-')} = {alike!r} (of all defined there the "
+        f"nearest in permittivity; or another ITU type)"
+    )
+
+
+def _permittivity(itu: str) -> float:
+    """Relative permittivity at the low end of a material's first range."""
+    (low, _), (a, b, _, _) = next(iter(_itu_table()[itu].items()))
+    return a * low**b
+
+
+def _inside(carrier_frequency: float, root: ET.Element) -> float:
+    """The carrier, or a neighbor 1e-6 away if a material's range ends exactly there.
+
+    Sionna computes in single precision, where 60 GHz is more than 60 times 1 GHz and marble is defined up to 60 GHz.
+    """
+    table = _itu_table()
+    ranges = [list(table[itu]) for _, itu, _ in _used_itu_types(root)]
+
+    def defined(frequency: float) -> bool:
+        ghz = float(np.float32(frequency) * np.float32(1e-9)), float(np.float32(frequency) / np.float32(1e9))
+        return all(any(low <= min(ghz) and max(ghz) <= high for low, high in rows) for rows in ranges)
+
+    choices = (carrier_frequency * (1 + change) for change in (0.0, -1e-6, 1e-6))
+    return next((choice for choice in choices if defined(choice)), carrier_frequency)

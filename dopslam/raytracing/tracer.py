@@ -25,6 +25,7 @@ from dopslam.raytracing.backend import backend
 from dopslam.raytracing.images import PathGeometry, reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.raytracing.landmarks import Naming, landmarks_of
 from dopslam.raytracing.mends import CountingSolver, Receivers
+from dopslam.raytracing.objects import TARGET, TRANSMITTER
 from dopslam.raytracing.scene import LoadedScene, SceneSource, load_scene
 from dopslam.raytracing.settings import JONES, MAX_CHUNK, ScatterPoints, TraceSettings
 from dopslam.raytracing.surfaces import check_positions
@@ -33,7 +34,6 @@ from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths
 
 PAIRS_PER_CALL = 20_000_000  # the radar solver pairs (points) × (points × receivers) legs in memory
 SPECULAR = 1
-_TARGET = "dopslam_scatter_points"
 
 
 class _Found(NamedTuple):
@@ -88,6 +88,7 @@ class Tracer:
                 f"traced at {carrier_frequency / 1e9:g} GHz; load it for that frequency"
             )
         self.scene, self.surfaces = loaded.scene, loaded.surfaces
+        self._authors_name = loaded.authors_name
         self.naming = Naming(self.surfaces)
         self._fixed = {"the base station": self.bs_position} | {
             f"scatter point {name!r}": position
@@ -100,16 +101,16 @@ class Tracer:
         rt, mi = backend()
         # A scene that another tracer has used still holds that tracer's devices and target.
         leftover = [*self.scene.transmitters, *self.scene.receivers]
-        for name in leftover + [name for name in (_TARGET, f"{_TARGET}-material") if self.scene.get(name)]:
+        for name in leftover + [name for name in (TARGET, f"{TARGET}-material") if self.scene.get(name)]:
             self.scene.remove(name)
-        self.scene.add(rt.Transmitter(name="bs", position=mi.Point3f(*map(float, self.bs_position))))
+        self.scene.add(rt.Transmitter(name=TRANSMITTER, position=mi.Point3f(*map(float, self.bs_position))))
         if len(self.points.names):
             self._add_points()
         identifiers = {item.object_id: name for name, item in self.scene.objects.items()}
         index = {name: i for i, name in enumerate(self.surfaces.objects)}
         self._object_of = np.full(max(identifiers, default=0) + 1, -1, dtype=np.intp)
         for identifier, name in identifiers.items():
-            self._object_of[identifier] = index.get(name, -1)
+            self._object_of[identifier] = index.get(self._authors_name.get(name, name), -1)
         self._solver = CountingSolver(self.settings.deterministic)
         self._receivers = Receivers(self.scene)
 
@@ -127,7 +128,7 @@ class Tracer:
         )
         size = {"length": 1e-3, "width": 1e-3, "height": 1e-3}
         self.scene.add(
-            rcs.SensingTarget(name=_TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size)
+            rcs.SensingTarget(name=TARGET, scattering_model=model, position=mi.Point3f(*map(float, home)), **size)
         )
         self._radar = rcs.RCSSolver(deterministic=True)
 
