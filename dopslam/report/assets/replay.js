@@ -1,0 +1,204 @@
+// Replay of a run: scene, base station, true and estimated track, rays and map of one step, with a time slider.
+// Reads the tree that dopslam/report/replay.py makes from #replay-data; needs THREE (three.bundle.js) on the page.
+(function () {
+  "use strict";
+  const data = JSON.parse(document.getElementById("replay-data").textContent);
+  const stage = document.getElementById("replay-stage");
+  const readout = document.getElementById("replay-readout");
+  const slider = document.getElementById("replay-step");
+  const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xf5c04a, bs: 0xd55e00 };
+  const KIND = ["base station", "virtual anchor", "scatter point", "second reflection"];
+  const names = Object.keys(data.filters);
+  const steps = data.truth.position.length;
+  const state = { step: 0, filter: names[0], enlarge: 1, playing: false, show: { scene: true, rays: true, map: true, truth: true, walls: true } };
+  window.replay = state; // for tests and for the curious
+
+  let renderer;
+  try {
+    renderer = new THREE.WebGLRenderer({ antialias: true });
+  } catch (error) {
+    stage.textContent = "This browser shows no WebGL; the table and the figures below say the same.";
+    return;
+  }
+  stage.appendChild(renderer.domElement);
+  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+  const scene = new THREE.Scene();
+  scene.background = new THREE.Color(0xf7f8fa);
+  scene.add(new THREE.AmbientLight(0xffffff, 2.0));
+  const sun = new THREE.DirectionalLight(0xffffff, 1.6);
+  sun.position.set(0.4, -0.7, 1.0);
+  scene.add(sun);
+
+  // The view frames what a person wants to see: track, base station and what the rays touch, not far virtual anchors.
+  const frame = new THREE.Box3();
+  data.truth.position.forEach((p) => frame.expandByPoint(new THREE.Vector3(...p)));
+  frame.expandByPoint(new THREE.Vector3(...data.bs));
+  data.rays.forEach((rays) => rays.forEach((ray) => ray[1].forEach((p) => frame.expandByPoint(new THREE.Vector3(...p)))));
+  if (!data.rays.length) data.landmarks.filter((l) => l.kind === 2).forEach((l) => frame.expandByPoint(new THREE.Vector3(...l.position)));
+  const center = frame.getCenter(new THREE.Vector3());
+  const size = Math.max(frame.getSize(new THREE.Vector3()).length(), 1);
+  const camera = new THREE.PerspectiveCamera(45, 1, size / 2000, size * 40);
+  camera.up.set(0, 0, 1);
+  camera.position.set(center.x - 0.25 * size, center.y - 0.75 * size, center.z + 0.65 * size);
+  const controls = new THREE.OrbitControls(camera, renderer.domElement);
+  controls.target.copy(center);
+  controls.addEventListener("change", draw);
+
+  const group = {};
+  ["scene", "lit", "truth", "rays", "map", "walls", "now"].forEach((key) => scene.add((group[key] = new THREE.Group())));
+
+  function clear(g) {
+    while (g.children.length) {
+      const child = g.children[0];
+      g.remove(child);
+      child.geometry.dispose();
+    }
+  }
+  function line(points, color, dashed, opacity) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flat(), 3));
+    const options = { color: color, transparent: true, opacity: opacity === undefined ? 1 : opacity };
+    const material = dashed
+      ? new THREE.LineDashedMaterial({ ...options, dashSize: size / 120, gapSize: size / 160 })
+      : new THREE.LineBasicMaterial(options);
+    const result = new THREE.Line(geometry, material);
+    if (dashed) result.computeLineDistances();
+    return result;
+  }
+  const ball = new THREE.SphereGeometry(1, 20, 14);
+  function sphere(position, radius, color, opacity) {
+    const mesh = new THREE.Mesh(ball.clone(), new THREE.MeshLambertMaterial({ color: color, transparent: opacity < 1, opacity: opacity }));
+    mesh.scale.setScalar(radius);
+    mesh.position.set(...position);
+    return mesh;
+  }
+  function ellipsoid(position, f, color, opacity) {
+    // The unit sphere under the Cholesky factor of the covariance is its 1 σ ellipsoid; 2.8 σ holds 95 % in space.
+    const k = 2.8 * state.enlarge, least = size / 700;
+    const mesh = new THREE.Mesh(ball.clone(), new THREE.MeshLambertMaterial({ color: color, transparent: true, opacity: opacity }));
+    mesh.matrixAutoUpdate = false;
+    mesh.matrix.set(
+      Math.max(Math.abs(k * f[0]), least), 0, 0, position[0],
+      k * f[1], Math.max(Math.abs(k * f[2]), least), 0, position[1],
+      k * f[3], k * f[4], Math.max(Math.abs(k * f[5]), least), position[2],
+      0, 0, 0, 1);
+    return mesh;
+  }
+  function triangles(corners, color, opacity) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+    geometry.computeVertexNormals();
+    return new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: color, side: THREE.DoubleSide, transparent: true, opacity: opacity, depthWrite: opacity > 0.9 }));
+  }
+
+  let corners = null;
+  if (data.mesh) {
+    const raw = Uint8Array.from(atob(data.mesh), (c) => c.charCodeAt(0));
+    corners = new Float32Array(raw.buffer);
+    const all = triangles(corners, COLOR.wall, 0.32);
+    group.scene.add(all);
+    const edges = new THREE.LineSegments(new THREE.EdgesGeometry(all.geometry, 20), new THREE.LineBasicMaterial({ color: 0x8792a0, transparent: true, opacity: 0.5 }));
+    group.scene.add(edges);
+  } else {
+    const z = data.truth.position[0][2];
+    data.outlines.forEach((points) => group.scene.add(line(points.map((p) => [p[0], p[1], z]), COLOR.wall)));
+    const grid = new THREE.GridHelper(2 * size, 20, 0xd5dae0, 0xe3e7ec);
+    grid.rotation.x = Math.PI / 2;
+    grid.position.set(center.x, center.y, Math.min(0, frame.min.z));
+    group.scene.add(grid);
+  }
+  group.truth.add(line(data.truth.position, COLOR.truth));
+  group.truth.add(sphere(data.bs, size / 90, COLOR.bs, 1));
+  data.landmarks.filter((l) => l.kind === 2).forEach((l) => group.truth.add(sphere(l.position, size / 260, COLOR.truth, 0.7)));
+
+  function render(step) {
+    const filter = data.filters[state.filter];
+    ["rays", "map", "walls", "now", "lit"].forEach((key) => clear(group[key]));
+    const here = data.truth.position[step];
+    group.now.add(sphere(here, size / 140, COLOR.truth, 1));
+    const heading = data.truth.heading[step];
+    group.now.add(line([here, [here[0] + Math.cos(heading) * size / 25, here[1] + Math.sin(heading) * size / 25, here[2]]], COLOR.truth));
+    const rays = data.rays[step] || [];
+    const seen = new Set(rays.map((ray) => ray[0]));
+    rays.forEach((ray) => group.rays.add(line(ray[1], COLOR.ray)));
+    rays.forEach((ray) => ray[1].slice(1, -1).forEach((p) => group.rays.add(sphere(p, size / 300, COLOR.ray, 1))));
+    if (corners)
+      seen.forEach((landmark) => {
+        const faces = data.lit[landmark];
+        if (!faces) return;
+        const lit = new Float32Array(9 * faces.length);
+        faces.forEach((face, i) => lit.set(corners.subarray(9 * face, 9 * face + 9), 9 * i));
+        group.lit.add(triangles(lit, COLOR.lit, 0.35));
+      });
+    if (filter) {
+      const path = filter.position.slice(0, step + 1);
+      if (path.length > 1) group.now.add(line(path, COLOR.estimate));
+      const ue = filter.position[step], f = filter.factor[step];
+      group.now.add(ellipsoid(ue, [f[0], f[1], f[2], 0, 0, 0], COLOR.estimate, 0.55));
+      group.now.add(sphere(ue, size / 180, COLOR.estimate, 1));
+      filter.map[step].forEach((row) => {
+        const color = row[3] === 2 ? COLOR.sp : COLOR.va, opacity = 0.25 + 0.6 * row[4];
+        group.map.add(ellipsoid(row.slice(0, 3), row.slice(8), color, opacity));
+        group.map.add(line([data.bs, row.slice(5, 8), ue], color, true, 0.35 + 0.6 * row[4]));
+        group.map.add(sphere(row.slice(5, 8), size / 300, color, opacity));
+      });
+      if (step === steps - 1 || state.show.walls)
+        filter.walls.forEach((c) => group.walls.add(triangles([...c[0], ...c[1], ...c[2], ...c[0], ...c[2], ...c[3]], COLOR.va, 0.45)));
+    }
+    group.scene.visible = state.show.scene;
+    group.rays.visible = state.show.rays;
+    group.lit.visible = state.show.rays && state.show.scene;
+    group.map.visible = state.show.map;
+    group.truth.visible = state.show.truth;
+    group.walls.visible = state.show.walls;
+    readout.textContent = text(step, filter, seen.size);
+    draw();
+  }
+  function text(step, filter, count) {
+    let out = "step " + (step + 1) + " of " + steps + " · " + data.time[step].toFixed(1) + " s";
+    if (data.rays.length) out += " · " + count + " true paths";
+    if (filter) {
+      const p = filter.position[step], t = data.truth.position[step];
+      out += " · error " + Math.hypot(p[0] - t[0], p[1] - t[1]).toFixed(3) + " m";
+      const tally = {};
+      filter.map[step].forEach((row) => (tally[row[3]] = (tally[row[3]] || 0) + 1));
+      out += " · map: " + (Object.keys(tally).map((k) => tally[k] + " " + KIND[k] + (tally[k] > 1 ? "s" : "")).join(", ") || "empty");
+    }
+    return out;
+  }
+  function draw() {
+    renderer.render(scene, camera);
+  }
+  function resize() {
+    const width = stage.clientWidth, height = Math.max(280, Math.min(620, Math.round(0.62 * width), window.innerHeight - 120));
+    renderer.setSize(width, height);
+    camera.aspect = width / height;
+    camera.updateProjectionMatrix();
+    draw();
+  }
+  function go(step) {
+    state.step = Math.max(0, Math.min(steps - 1, step));
+    slider.value = state.step;
+    render(state.step);
+  }
+  slider.max = steps - 1;
+  slider.addEventListener("input", () => go(Number(slider.value)));
+  const button = document.getElementById("replay-play");
+  let timer = 0;
+  button.addEventListener("click", () => {
+    state.playing = !state.playing;
+    button.textContent = state.playing ? "❚❚" : "▶";
+    clearInterval(timer);
+    if (state.playing) timer = setInterval(() => go(state.step + 1 < steps ? state.step + 1 : 0), Math.max(60, Math.min(250, 20000 / steps)));
+  });
+  const choice = document.getElementById("replay-filter");
+  names.forEach((name) => choice.add(new Option(name, name)));
+  choice.addEventListener("change", () => { state.filter = choice.value; render(state.step); });
+  document.getElementById("replay-enlarge").addEventListener("input", (event) => { state.enlarge = Math.pow(10, Number(event.target.value)); render(state.step); });
+  document.querySelectorAll("[data-layer]").forEach((box) =>
+    box.addEventListener("change", () => { state.show[box.dataset.layer] = box.checked; render(state.step); }));
+  window.addEventListener("resize", resize);
+  resize();
+  go(0);
+  stage.dataset.ready = "yes";
+})();
