@@ -118,6 +118,21 @@ class FloorPlan:
 
 
 @dataclass(frozen=True)
+class Mesh:
+    """Triangles of a scene, for drawing it.
+
+    Attributes
+    ----------
+    triangles : (T, 3, 3) float32 m, corners of each triangle, world frame
+    """
+
+    triangles: np.ndarray
+
+    def __post_init__(self):
+        _check_columns(self, ("triangles",), len(self.triangles))
+
+
+@dataclass(frozen=True)
 class Paths:
     """Ray-traced propagation paths of K steps, ragged.
 

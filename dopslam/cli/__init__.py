@@ -19,6 +19,7 @@ VERBS = {
     "slam": "Run a SLAM filter over the detections of a dataset file.",
     "bound": "Posterior Cramér–Rao bounds of a scenario or of a dataset file.",
     "evaluate": "Compare track and map with the truth and the bound: table, summary, figures.",
+    "view": "Open the report of a run: what came out, a replay in three dimensions, tables and figures.",
     "montecarlo": "Many runs of a filter in parallel, beside their bounds.",
     "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
     "check": "Validate a dataset folder or file and say what is wrong where.",

@@ -15,10 +15,10 @@ from dopslam.datasets.shard import inspect_shard
 from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
 from dopslam.pipeline.stages import Progress, quiet
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track
 from dopslam.store import file as dataset
 
-TYPES = {kind.__name__: kind for kind in (Track, Steps, Landmarks, Paths, DetectionSeries, FloorPlan)}
+TYPES = {kind.__name__: kind for kind in (Track, Steps, Landmarks, Paths, DetectionSeries, FloorPlan, Mesh)}
 LENGTH_TOLERANCE = 1e-6  # m, between a delay and the length along its interaction points
 
 

@@ -72,9 +72,7 @@ def plane_jacobian(base_station: np.ndarray, anchor: np.ndarray) -> np.ndarray:
     return np.concatenate([turned, shifted[..., None, :]], axis=-2)
 
 
-def walls(
-    history: History, base_station: np.ndarray, height: float, step: int = -1, threshold: float = 0.5
-) -> Walls:
+def walls(history: History, base_station: np.ndarray, height: float, step: int = -1, threshold: float = 0.5) -> Walls:
     """Walls of the map after one step, drawn over where they were seen until then.
 
     Parameters
@@ -135,7 +133,9 @@ def _rectangle(normal: np.ndarray, offset: float, points: np.ndarray) -> np.ndar
     return foot + ring[:, :1] * along + ring[:, 1:] * up
 
 
-def wall_errors(found: Walls, landmarks: Landmarks, base_station: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def wall_errors(
+    found: Walls, landmarks: Landmarks, base_station: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How far walls lie from true ones: one to one, nearest by distance and angle over what was seen.
 
     Returns

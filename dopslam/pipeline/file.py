@@ -12,8 +12,8 @@ from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
-from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Paths, Track
-from dopslam.report import figures, folder, tables
+from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.report import figures, folder, page, replay, tables
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
 
@@ -29,6 +29,7 @@ def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet)
     _check_new(path)
     traced = pipeline.trace(scenario, seed, progress)
     records = {"track": traced.track, "landmarks": traced.landmarks, "paths": traced.paths, "plan": traced.plan}
+    records["mesh"] = traced.mesh
     dataset.write_records(path, records, scenario.to_toml(), seed)
 
 
@@ -177,7 +178,8 @@ def _detection_figures(scenario: Scenario, track: Track, paths: Paths | None, de
 
 
 def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
-    """Write ``summary.json``, ``table.txt`` and the figures of an evaluated dataset into a folder, made if missing."""
+    """Write ``summary.json``, ``table.txt``, ``report.html`` and the figures of an evaluated dataset into a folder, made
+    if missing."""
     Path(target).mkdir(parents=True, exist_ok=True)
     track, landmarks, paths, plan = read_truth(path)
     main = summary["filter"]
@@ -190,5 +192,19 @@ def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evalu
         if paths is not None:
             drawn["detections"] = figures.detections_over_paths(track, landmarks, paths, read_detections(path))
         figures.save_all(target, drawn)
+        text = page.report_page(
+            summary | {"versions": folder.versions()}, tables.cells(summary), drawn, replay_of(path),
+            dataset.read_root(path)[0],
+        )  # fmt: skip
+    folder.write_text(Path(target) / "report.html", text)
     (Path(target) / "table.txt").write_text(tables.as_text(tables.run_table(summary)), encoding="utf-8")
     folder.write_json(Path(target) / "summary.json", summary | {"versions": folder.versions()})
+
+
+def replay_of(path: Path) -> dict:
+    """What the replay of a dataset shows, see :func:`dopslam.report.replay.replay`."""
+    scenario, _ = scenario_of(path)
+    mesh = dataset.read_record(path, "mesh", Mesh).triangles if "mesh" in dataset.groups(path) else None
+    return replay.replay(
+        *read_truth(path), histories(path), mesh, scenario.receiver.height, scenario.filter.report_existence
+    )

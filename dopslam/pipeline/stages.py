@@ -24,7 +24,7 @@ from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
 from dopslam.evaluate.run import true_association
 from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Paths, Track
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
 from dopslam.simulate import world as simulate_module
 from dopslam.slam.history import History
 from dopslam.slam.pmb import ek_pmb, smoother
@@ -59,6 +59,7 @@ class Traced:
     landmarks: Landmarks
     paths: Paths
     plan: FloorPlan
+    mesh: Mesh
 
 
 def draw_track(scenario: Scenario, seed: int) -> Track:
@@ -116,7 +117,8 @@ def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
         loaded, carrier, scenario.base_station.position, track.position, track.velocity, points, settings
     )
     progress("trace", track.steps, track.steps)
-    return Traced(track, landmarks, paths, _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height)))
+    plan = _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height))
+    return Traced(track, landmarks, paths, plan, Mesh(loaded.surfaces.triangles.astype(np.float32)))
 
 
 def _plan(outlines: list[tuple[str, np.ndarray]]) -> FloorPlan:

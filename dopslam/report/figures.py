@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from dopslam.evaluate.walls import walls
 from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
 
 TRUE, ESTIMATE, BOUND, VA, SP, RAY, WALL = "#000000", "#0072B2", "#D55E00", "#E69F00", "#009E73", "#9aa5b1", "#6b7280"
@@ -76,6 +77,7 @@ def plan_view(
     shown = history.existence[last] > threshold
     spreads = np.concatenate([history.covariance[:, :2, :2], history.position_covariance[last][shown][:, :2, :2]])
     enlarged = _enlargement(spreads, np.ptp(np.concatenate([landmarks.position, track.position])[:, :2]))
+    _walls(axes, history, bs, float(track.position[0, 2]), threshold)
     for mean, covariance in zip(history.mean, history.covariance, strict=True):
         _ellipse(axes, mean[:2], covariance[:2, :2], ESTIMATE, enlarged)
     for kind, color, marker, name in ((Kind.VA, VA, "s", "virtual anchors"), (Kind.SP, SP, "o", "scatter points")):
@@ -90,9 +92,36 @@ def plan_view(
             _ellipse(axes, mean[:2], covariance[:2, :2], color, enlarged)
     scale = f", drawn {enlarged}× larger" if enlarged > 1 else ""
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses{scale})")
+    _frame(axes, bs, track, paths, landmarks)
     axes.set_aspect("equal", adjustable="datalim")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
+
+
+def _walls(axes, history, bs: np.ndarray, height: float, threshold: float) -> None:
+    """Walls found, over the extent that was seen, with a band of two standard deviations; levels (floors) have no line."""
+    found = walls(history, bs, height, threshold=threshold)
+    label = "walls found, ± 2 σ"
+    for corners, normal, deviation in zip(found.corners, found.normal, found.deviation, strict=True):
+        if np.hypot(*normal[:2]) < 0.5:
+            continue
+        line, shift = corners[:2, :2], 2 * deviation * normal[:2]
+        axes.plot(*line.T, color=VA, linewidth=2.5, zorder=3, label=label)
+        axes.fill(*np.vstack([line + shift, line[::-1] - shift]).T, color=VA, alpha=0.25, linewidth=0, zorder=2)
+        label = None
+
+
+def _frame(axes, bs: np.ndarray, track: Track, paths: Paths | None, landmarks: Landmarks, margin: float = 0.06) -> None:
+    """Show where the rays went; virtual anchors far outside would squeeze everything else."""
+    shown = [track.position[:, :2], bs[None, :2], landmarks.position[landmarks.kind == Kind.SP][:, :2]]
+    if paths is not None:
+        shown.append(paths.vertices[:, :2])
+    else:
+        shown.append(landmarks.position[:, :2])
+    points = np.concatenate(shown)
+    low, high = points.min(axis=0), points.max(axis=0)
+    space = margin * max(*(high - low), 1.0)
+    axes.set(xlim=(low[0] - space, high[0] + space), ylim=(low[1] - space, high[1] + space))
 
 
 def _rays(axes, bs: np.ndarray, track: Track, paths: Paths, step: int) -> None:

@@ -33,6 +33,12 @@ def run_table(summary: dict) -> Table:
     return table
 
 
+def cells(summary: dict) -> list[list[str]]:
+    """The same table as rows of text, the first row holding the filters' names."""
+    variants = summary["variants"]
+    return [["", *variants], *([label, *(text(v) for v in variants.values())] for label, text in _ROWS)]
+
+
 def _with_ratio(key: str, part: str):
     return lambda v: f"{v[key]:.4f} ({v['rmse_over_bound'][part]:.2f})"
 

@@ -16,12 +16,12 @@ UNITS = {
     "time": "s", "position": "m", "heading": "rad", "velocity": "m/s", "bias": "m", "start": "m, m, rad, m",
     "tau": "s", "theta_t": "rad", "phi_t": "rad", "theta_r": "rad", "phi_r": "rad", "doppler": "Hz", "vertices": "m",
     "delay": "s", "aoa": "rad", "aod": "rad", "radial_velocity": "m/s", "noise_variance": "W", "gain": "sqrt(W)",
-    "state": "m, m, rad, m", "y": "sqrt(W)", "points": "m",
+    "state": "m, m, rad, m", "y": "sqrt(W)", "points": "m", "triangles": "m",
 }  # fmt: skip
 
 FRAMES = {
     "position": "world", "heading": "world", "velocity": "world", "theta_t": "world", "phi_t": "world",
-    "theta_r": "world", "phi_r": "world", "vertices": "world", "points": "world", "aoa": "receiver", "aod": "base station",
+    "theta_r": "world", "phi_r": "world", "vertices": "world", "points": "world", "triangles": "world", "aoa": "receiver", "aod": "base station",
 }  # fmt: skip
 
 # Names of the dimensions of every array of a record, the leading ones first.
@@ -45,6 +45,7 @@ DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
         "snr": ("detection",), "noise_variance": ("step",),
     },
     "FloorPlan": {"name": ("outline",), "offsets": ("outline_edge",), "points": ("point", "xy")},
+    "Mesh": {"triangles": ("triangle", "corner", "xyz")},
     "Signal": {"y": ("step", "subcarrier", "symbol", "element")},
 }  # fmt: skip
 

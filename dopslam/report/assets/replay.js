@@ -2,11 +2,12 @@
 // Reads the tree that dopslam/report/replay.py makes from #replay-data; needs THREE (three.bundle.js) on the page.
 (function () {
   "use strict";
+  window.addEventListener("error", (event) => { document.documentElement.dataset.error = event.message; });
   const data = JSON.parse(document.getElementById("replay-data").textContent);
   const stage = document.getElementById("replay-stage");
   const readout = document.getElementById("replay-readout");
   const slider = document.getElementById("replay-step");
-  const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xf5c04a, bs: 0xd55e00 };
+  const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xffe9a8, bs: 0xd55e00 };
   const KIND = ["base station", "virtual anchor", "scatter point", "second reflection"];
   const names = Object.keys(data.filters);
   const steps = data.truth.position.length;
@@ -39,7 +40,8 @@
   const size = Math.max(frame.getSize(new THREE.Vector3()).length(), 1);
   const camera = new THREE.PerspectiveCamera(45, 1, size / 2000, size * 40);
   camera.up.set(0, 0, 1);
-  camera.position.set(center.x - 0.25 * size, center.y - 0.75 * size, center.z + 0.65 * size);
+  const far = stage.clientWidth < 500 ? 1.5 : 1; // a phone held upright sees less to the sides
+  camera.position.set(center.x - 0.2 * far * size, center.y - 0.6 * far * size, center.z + 0.8 * far * size);
   const controls = new THREE.OrbitControls(camera, renderer.domElement);
   controls.target.copy(center);
   controls.addEventListener("change", draw);
@@ -95,7 +97,7 @@
   if (data.mesh) {
     const raw = Uint8Array.from(atob(data.mesh), (c) => c.charCodeAt(0));
     corners = new Float32Array(raw.buffer);
-    const all = triangles(corners, COLOR.wall, 0.32);
+    const all = triangles(corners, COLOR.wall, 0.22);
     group.scene.add(all);
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(all.geometry, 20), new THREE.LineBasicMaterial({ color: 0x8792a0, transparent: true, opacity: 0.5 }));
     group.scene.add(edges);
@@ -199,6 +201,7 @@
     box.addEventListener("change", () => { state.show[box.dataset.layer] = box.checked; render(state.step); }));
   window.addEventListener("resize", resize);
   resize();
-  go(0);
+  const wanted = /step=(\d+)/.exec(location.hash); // report.html#step=12 opens at a step; otherwise the end, with the whole map
+  go(wanted ? Number(wanted[1]) - 1 : steps - 1);
   stage.dataset.ready = "yes";
 })();
