@@ -1,22 +1,21 @@
-"""One decorator for compiled kernels: `numba.njit` with a disk cache where there is one.
-
-Numba refuses to define a cached function when none of its cache folders can be written (a read-only
-installation with no home folder). A cache is a convenience: without it the kernels compile anew in every
-process, slower, never broken.
-"""
+"""Decorators for compiled kernels: `numba.njit` with the disk cache of :mod:`estimation.jit` where there is one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
+
+from estimation.jit import cached
+
+_ROOT = Path(__file__).resolve().parent
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile `function` lazily with numba, caching the machine code on disk if a folder can be written."""
-    return _compiled(function)
+    return compiled_with(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -25,19 +24,17 @@ def inlined(function: Callable[..., Any]) -> Any:
     Every compiled function optimizes all the code below it once more, so that a long function cut into pieces, each
     compiled for itself, costs its compilation several times.
     """
-    return _compiled(function, inline="always")
+    return compiled_with(function, inline="always")
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    try:
-        return numba.njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    except RuntimeError:  # "cannot cache function ...: no locator available for file"
-        return numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+def compiled_with(function: Callable[..., Any], **options: Any) -> Any:
+    """The same with further options of ``numba.njit``."""
+    return cached(function, _ROOT, error_model="numpy", no_cfunc_wrapper=True, **options)
 
 
 def compiled_without_lock(function: Callable[..., Any]) -> Any:
     """:func:`compiled` for kernels that threads share: they run without the interpreter's lock."""
-    return _compiled(function, nogil=True)
+    return compiled_with(function, nogil=True)
 
 
 # Assigning a whole array inside a kernel pulls numba's broadcasting and its error texts into the machine code, some ten

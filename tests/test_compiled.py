@@ -1,8 +1,140 @@
-"""Kernels work without a cache folder."""
+"""The cache of compiled kernels: never stale, shared safely, dispensable."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numba
+import pytest
 
 from dopslam.compiled import compiled
+from estimation import jit
+
+CALLEE = """
+from pathlib import Path
+from typing import NamedTuple
+from estimation.jit import cached
+
+def compiled(function):
+    return cached(function, Path(__file__).resolve().parent.parent)
+
+class Record(NamedTuple):
+    first: float
+    second: float
+
+FACTOR = 10.0
+
+@compiled
+def inner(x):
+    return x + 1.0
+"""
+CALLER = """
+from house.low.callee import FACTOR, Record, compiled, inner
+
+@compiled
+def outer(record):
+    return FACTOR * inner(record.first)
+
+@compiled
+def many(x):
+    return x * 2
+"""
+RUN = "from house.high.caller import Record, outer; print(outer(Record(first=1.0, second=5.0)), len(outer.stats.cache_hits))"
+
+
+@pytest.fixture
+def house(tmp_path):
+    """A package of two rooms whose kernels call each other, and a way to run a line in a new process."""
+    for room, name, text in (("low", "callee", CALLEE), ("high", "caller", CALLER)):
+        folder = tmp_path / "house" / room
+        folder.mkdir(parents=True)
+        (folder / f"{name}.py").write_text(text)
+    environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    environment |= {"HOME": str(tmp_path / "home"), "PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def run(line: str = RUN, **settings) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", line], capture_output=True, text=True, env=environment | settings, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    run.environment = environment
+    return tmp_path, run
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "result"),
+    [
+        ("return x + 1.0", "return x + 2.0", 30.0),  # a callee
+        ("first: float\n    second: float", "second: float\n    first: float", 20.0),  # a record's fields swapped
+        ("FACTOR = 10.0", "FACTOR = 7.0", 14.0),  # a constant, frozen into the code
+    ],
+)
+def test_a_change_in_another_room_is_seen(house, old, new, result):
+    folder, run = house
+    assert run() == "20.0 0"
+    assert run() == "20.0 1"  # from the cache
+    file = folder / "house" / "low" / "callee.py"
+    times = file.stat()
+    file.write_text(file.read_text().replace(old, new))
+    os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert run() == f"{result} 0"
+
+
+def test_where_the_cache_lies(house):
+    folder, run = house
+    run(XDG_CACHE_HOME=str(folder / "xdg"))
+    assert list((folder / "xdg" / "dopslam" / "numba").glob("house.high-*/caller.outer*.nbc"))
+    run(NUMBA_CACHE_DIR=str(folder / "own"))
+    assert list((folder / "own" / "dopslam").glob("house.high-*/caller.outer*.nbc"))
+    assert not (folder / "home").exists()
+    assert not list(folder.rglob("__pycache__/*.nb?"))
+
+
+def test_no_home_no_disk_and_torn_entries_cost_time_only(house):
+    folder, run = house
+    (folder / "file").write_text("not a folder")
+    assert run(NUMBA_CACHE_DIR=str(folder / "file")) == "20.0 0"
+    assert run(HOME="/proc/none") == "20.0 0"
+    run()
+    for entry in (folder / "home").rglob("*.nb?"):
+        entry.write_bytes(entry.read_bytes()[:40])
+    assert run() == "20.0 0"
+
+
+def test_processes_share_it(house):
+    """Signatures compiled at the same time in several processes do not overwrite each other's entries."""
+    folder, run = house
+    lines = [
+        f"import numpy as np; from house.high.caller import many; print(many(np.ones(2, np.{kind})).dtype)"
+        for kind in ("float64", "float32", "int16", "complex64")
+    ]
+    started = [
+        subprocess.Popen([sys.executable, "-c", line], stdout=subprocess.PIPE, env=run.environment, text=True)
+        for line in lines
+    ]
+    first = [process.communicate(timeout=300)[0] for process in started]
+    assert first == [run(line) + "\n" for line in lines]
+    assert len(list((folder / "home").rglob("caller.many*.nbc"))) == 4
+
+
+def test_old_folders_go(tmp_path):
+    now = time.time()
+    for name, days in (("new", 0), ("used", 20), ("old", 40)):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (now - 86400 * days,) * 2)
+    jit.prune(tmp_path, now)
+    assert {path.name for path in tmp_path.iterdir()} == {"new", "used"}
+
+
+def test_every_kernel_of_the_house_goes_through_it():
+    """Kernels that numba caches by itself would be the stale ones."""
+    for package in ("dopslam", "estimation"):
+        for file in (Path(jit.__file__).parent.parent / package).rglob("*.py"):
+            assert "cache=True" not in file.read_text(encoding="utf-8"), file
 
 
 def test_no_cache_folder_is_slower_never_broken(monkeypatch):

@@ -94,10 +94,13 @@ def _llvm() -> Iterator[tuple[str, str, bool | None]]:
 def _caches() -> Iterator[tuple[str, str, bool | None]]:
     home = os.environ.get("HOME")
     drjit = os.environ.get("DRJIT_CACHE_DIR") or (str(Path(home) / ".drjit") if home else None)
-    numba = os.environ.get("NUMBA_CACHE_DIR") or str(Path(__file__).parents[1] / "__pycache__")
+    from estimation.jit import cache_folder
+
+    chosen = cache_folder()
+    numba = str(chosen) if chosen else None
     for name, folder in (("Dr.Jit kernels", drjit), ("numba kernels", numba)):
         if folder is None:
-            yield name, "no home folder: compiled again by every process", None
+            yield name, "no home folder: compiled again by every process, slower but not broken", None
         elif _writable(Path(folder)):
             yield name, f"{folder}, writable", True
         else:

@@ -7,8 +7,9 @@ weights of a feature sum to 1 for every particle; ``covariance`` (C, 3) = xx, xy
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from dopslam.compiled import compiled_with
 
 _BLOCK = 512  # particles worked on at a time: their intermediate results stay in the fastest cache
 _NORMAL = np.float32(1 / np.sqrt(2 * np.pi))
@@ -17,11 +18,7 @@ _NORMAL = np.float32(1 / np.sqrt(2 * np.pi))
 def _vectorized(function):
     """Compiled without the interpreter's lock, sums in any order so that they use vector instructions; no assumption
     about NaN or infinity."""
-    math = {"reassoc", "contract", "arcp", "nsz"}
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=math)(function)
-    except RuntimeError:  # no folder for the cache
-        return numba.njit(nogil=True, error_model="numpy", fastmath=math)(function)
+    return compiled_with(function, nogil=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_vectorized
