@@ -66,18 +66,22 @@ def situation(scenario: Scenario, reading: str = "std") -> Situation:
         noise=FixedNoise(measurement_std(scenario), model.detection_probability, model.sp_range),
         clutter_count=model.clutter_rate,
         clutter_range=model.clutter_range,
-        doppler_limit=scenario.track.speed,
+        doppler_limit=doppler_limit(scenario),
         height=scenario.receiver.height,
     )
 
 
+def doppler_limit(scenario: Scenario) -> float:
+    """Largest radial velocity [m/s] that detections can have: the drive's speed where the model draws them, else what
+    the estimator searches. A receiver that stands still bounds nothing by its own speed."""
+    moving = scenario.source.kind == "model" and scenario.track.speed > 0
+    return scenario.track.speed if moving else scenario.estimator.max_radial_velocity
+
+
 def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
     """Detections of a run as the filters read them."""
-    traced = scenario.source.kind == "traced"
-    moving = not traced and scenario.track.speed > 0  # a still receiver's own speed bounds nothing
-    limit = scenario.track.speed if moving else scenario.estimator.max_radial_velocity
     yaw = np.deg2rad(scenario.base_station.yaw_deg)
-    return from_detections(detections, bs_yaw=yaw, doppler_span=2 * limit)
+    return from_detections(detections, bs_yaw=yaw, doppler_span=2 * doppler_limit(scenario))
 
 
 def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:

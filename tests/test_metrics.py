@@ -56,6 +56,17 @@ def test_nees_and_ratio():
     assert rmse_over_bound(np.full((5, 3), 4.0), np.full((5, 3), 1.0)) == 2.0
 
 
+def test_nees_where_a_state_is_known_or_nothing_is_known_of_it():
+    covariance = np.diag([4.0, 9.0, 0.0, np.inf])
+    assert nees(np.array([2.0, 3.0, 0.0, 5.0]), covariance) == pytest.approx(2.0)
+    assert nees(np.array([2.0, 3.0, 0.1, 5.0]), covariance) == np.inf
+    tied = np.array([[1.0, 1.0], [1.0, 1.0]])  # the difference is known
+    assert nees(np.array([2.0, 2.0]), tied) == pytest.approx(4.0)
+    assert nees(np.array([2.0, 1.0]), tied) > 1e12
+    values = nees(np.ones((2, 2)), np.array([np.eye(2), np.full((2, 2), np.nan)]))
+    assert values[0] == 2.0 and np.isnan(values[1])
+
+
 def test_impossible_parameters_are_refused():
     with pytest.raises(Exception, match="cutoff"):
         gospa(np.zeros((1, 3)), np.zeros((1, 3)), cutoff=0)

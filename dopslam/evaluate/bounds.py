@@ -2,8 +2,8 @@
 
 The state is `[s; x_1; …; x_L]` without the BS. Recursion (17) at given true states with the full J_data (the
 paper's claim that it is block diagonal is wrong: A_iᵀR⁻¹B_i ≠ 0, and without it the PEB of the reference
-case is 0.068 instead of 0.173 m). A landmark has no prior information until its first detection; the
-prediction therefore runs in information form, which needs no inverse of a singular matrix.
+case is 0.068 instead of 0.173 m). The recursion itself is `recursion.filtering`, and `recursion.smoothing` for the
+bound of the whole run.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dopslam.errors import FilterError
+from dopslam.evaluate.recursion import LinearizedRun, filtering, smoothing
 from dopslam.models.measurement import BS, jacobians
 from dopslam.models.motion import CoordinatedTurn, transition_jacobian
 from dopslam.simulate.world import FixedNoise, Situation, noise_of, nominal_track
@@ -81,10 +82,39 @@ def measurement_information(
     rows = 6 if doppler else 5
     by_state, by_landmark = jacobians(states[:, None], position, kind, bs, speed=speed, height=height)
     by_state, by_landmark = by_state[..., :rows, :], by_landmark[..., :rows, :]
-    inverse = np.linalg.inv(covariance[..., :rows, :rows]) * np.asarray(weight, float)[..., None, None]
+    inverse = row_information(covariance[..., :rows, :rows], weight)
     left_state = np.swapaxes(by_state, -1, -2) @ inverse
     left_landmark = np.swapaxes(by_landmark, -1, -2) @ inverse
     return left_state @ by_state, left_state @ by_landmark, left_landmark @ by_landmark
+
+
+def row_information(covariance: Array, weight: ArrayLike = 1.0, where: str = "(step, landmark)") -> Array:
+    """`weight` times R⁻¹ (..., m, m); a row of infinite variance is a row that was not measured: no information.
+
+    Where the weight is 0 the covariance is not read. `where` names the leading axes in the error's sentence.
+
+    Raises
+    ------
+    FilterError
+        If the covariance of a detection is singular or not a number.
+    """
+    covariance, weight = np.asarray(covariance, float), np.asarray(weight, float)
+    measured = ~np.isposinf(np.diagonal(covariance, axis1=-2, axis2=-1)) & (weight > 0)[..., None]
+    both = measured[..., :, None] & measured[..., None, :]
+    matrix = np.where(both, covariance, np.eye(covariance.shape[-1]))
+    with np.errstate(invalid="ignore"):
+        scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    unit = scale[..., :, None] * scale[..., None, :]
+    sound = np.isfinite(matrix).all(axis=(-1, -2)) & (scale > 0).all(axis=-1)
+    correlation = np.where(sound[..., None, None], matrix / np.where(unit > 0, unit, 1.0), np.eye(matrix.shape[-1]))
+    sound &= np.linalg.eigvalsh(correlation)[..., 0] > 1e-14
+    if not sound.all():
+        raise FilterError(
+            f"the covariance R of the detection at {where} {np.argwhere(~sound)[0].tolist()} is singular, "
+            "not positive definite or not a number; remove that detection or give it a variance in every row"
+        )
+    inverse = np.linalg.inv(correlation) / unit
+    return np.where(both, inverse, 0.0) * weight[..., None, None]
 
 
 def pcrb(
@@ -100,6 +130,7 @@ def pcrb(
     *,
     height: float = 0.0,
     doppler: bool = True,
+    smoothed: bool = False,
 ) -> Bound:
     """Recursion (17) at given true states.
 
@@ -114,6 +145,7 @@ def pcrb(
     detected : (K, L) array; detection mask, or weights in [0, 1]
     bs : (3,) array
     doppler : bool; False drops the Doppler row
+    smoothed : bool; bound every step by the detections of the whole run instead of those up to it
 
     Returns
     -------
@@ -132,55 +164,20 @@ def pcrb(
     aa, ab, bb = measurement_information(
         states, position, kind, covariance, detected, bs, speed=motion.speed, height=height, doppler=doppler
     )
-    free = np.flatnonzero(np.asarray(kind) != BS)
-    slot = {int(landmark): n + 3 * i for i, landmark in enumerate(free)}
-    size = n + 3 * len(free)
-    information = np.zeros((size, size))
-    information[:n, :n] = np.linalg.inv(prior_covariance)
+    free = np.asarray(kind) != BS
     previous = np.vstack([np.asarray(start, dtype=float), states[:-1]])
-    ue, landmark = np.empty((steps, n, n)), np.full((steps, count, 3, 3), np.nan)
-    seen = np.zeros(count, dtype=bool)
-    for k in range(steps):
-        information = _predict_information(information, transition_jacobian(previous[k], motion), motion.process_noise)
-        for i in range(count):
-            if detected[k, i] <= 0:
-                continue
-            information[:n, :n] += aa[k, i]
-            if i in slot:
-                rows = slice(slot[i], slot[i] + 3)
-                information[:n, rows] += ab[k, i]
-                information[rows, :n] += ab[k, i].T
-                information[rows, rows] += bb[k, i]
-                seen[i] = True
-        active = [i for i in free if seen[i]]
-        keep = np.concatenate([np.arange(n), *[np.arange(slot[i], slot[i] + 3) for i in active]]).astype(int)
-        inverse = _invert(information[np.ix_(keep, keep)])
-        ue[k] = inverse[:n, :n]
-        for j, i in enumerate(active):
-            rows = slice(n + 3 * j, n + 3 * j + 3)
-            landmark[k, i] = inverse[rows, rows]
+    run = LinearizedRun(
+        prior=np.asarray(prior_covariance, dtype=float),
+        transition=transition_jacobian(previous, motion),
+        noise=np.broadcast_to(motion.process_noise, (steps, n, n)),
+        state=aa.sum(axis=1),
+        cross=ab[:, free],
+        landmark=bb[:, free],
+        seen=detected[:, free] > 0,
+    )
+    landmark = np.full((steps, count, 3, 3), np.nan)
+    ue, landmark[:, free] = smoothing(run) if smoothed else filtering(run)
     return Bound(ue, landmark)
-
-
-def _invert(information: Array) -> Array:
-    """Inverse after scaling to a unit diagonal: entries span many orders of magnitude."""
-    scale = 1.0 / np.sqrt(np.diag(information))
-    return np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
-
-
-def _predict_information(information: Array, transition: Array, noise: Array) -> Array:
-    """Information of [F s + η; x] from that of [s; x]: (Q + F J⁻¹Fᵀ)⁻¹ without J⁻¹ (Woodbury), Q may be
-    singular.
-    """
-    n = len(noise)
-    moved = np.array(information)
-    back = np.linalg.inv(transition)
-    moved[:n, :n] = back.T @ information[:n, :n] @ back
-    moved[:n, n:] = back.T @ information[:n, n:]
-    moved[n:, :n] = moved[:n, n:].T
-    head = moved[:, :n]
-    result = moved - head @ np.linalg.solve(np.eye(n) + noise @ moved[:n, :n], noise @ head.T)
-    return 0.5 * (result + result.T)
 
 
 def situation_bound(
@@ -192,6 +189,7 @@ def situation_bound(
     doppler: bool = True,
     visibility: float | None = None,
     weight_by_probability: bool = False,
+    smoothed: bool = False,
 ) -> Bound:
     """Bound of a simulated world.
 
@@ -206,6 +204,8 @@ def situation_bound(
         Range [m] within which SPs are visible when `detected` is not given; None: all visible.
     weight_by_probability : bool
         Scale the information by p_D instead of a mask (2 % optimistic).
+    smoothed : bool
+        Bound every step by the whole run.
     """
     states = nominal_track(situation) if states is None else states
     covariance, probability, _ = noise_of(situation, states)
@@ -230,6 +230,7 @@ def situation_bound(
         situation.bs,
         height=situation.height,
         doppler=doppler,
+        smoothed=smoothed,
     )
 
 

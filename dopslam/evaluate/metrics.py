@@ -92,8 +92,25 @@ def squared_errors(error: Array) -> dict[str, Array]:
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Normalized estimation error squared eᵀP⁻¹e, shape (...); its expectation is the number of states."""
-    return np.einsum("...i,...i->...", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    """Normalized estimation error squared eᵀP⁻¹e, shape (...); its expectation is the number of states.
+
+    A state that the filter holds for known (variance 0) adds nothing if its error is 0, and makes the NEES infinite
+    otherwise; a variance that is infinite (nothing known) adds nothing.
+    """
+    error, covariance = np.asarray(error, float), np.asarray(covariance, float)
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    used = (variance > 0) & ~np.isposinf(variance)
+    both = used[..., :, None] & used[..., None, :]
+    scale = np.sqrt(np.where(used, variance, 1.0))
+    matrix = np.where(both, covariance, np.eye(error.shape[-1])) / (scale[..., :, None] * scale[..., None, :])
+    number = ~np.isnan(covariance).any(axis=(-1, -2)) & np.isfinite(error).all(axis=-1)
+    matrix = np.where(number[..., None, None], matrix, np.eye(error.shape[-1]))
+    values, vectors = np.linalg.eigh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
+    turned = np.einsum("...ij,...i->...j", vectors, np.where(used & number[..., None], error, 0.0) / scale)
+    flat = values <= 1e-15  # a combination of states that is known
+    squares = np.where(flat & (np.abs(turned) < 1e-9), 0.0, turned**2 / np.where(flat, 1e-30, values))
+    wrong = ((variance == 0) & (error != 0)).any(axis=-1)
+    return np.where(number, np.where(wrong, np.inf, squares.sum(axis=-1)), np.nan)
 
 
 def rmse_over_bound(squared: Array, bound_squared: Array) -> float:

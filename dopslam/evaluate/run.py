@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from dopslam.config.scenario import Scenario
 from dopslam.evaluate import metrics
-from dopslam.evaluate.bounds import Bound
+from dopslam.evaluate.bounds import Bound, row_information
 from dopslam.models.measurement import residual
 from dopslam.models.scans import CLUTTER, Scans
 from dopslam.records import Kind, Landmarks, Track
@@ -73,14 +73,14 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
     (N,) int, landmark or −1 for a false detection
     """
     label = np.full(len(scans.z), CLUTTER)
+    weights = row_information(scans.covariance, where="row")
     for step in range(scans.steps):
         rows = np.arange(len(label))[scans.rows(step)]
         truth = slice(int(offsets[step]), int(offsets[step + 1]))
         if not len(rows) or truth.start == truth.stop:
             continue
         difference = residual(scans.z[rows][:, None], exact[truth][None])
-        weighted = np.linalg.solve(scans.covariance[rows][:, None], difference[..., None])[..., 0]
-        distance = np.sum(difference * weighted, axis=-1)
+        distance = np.einsum("nmi,nij,nmj->nm", difference, weights[rows], difference)
         for row, path in zip(*linear_sum_assignment(np.minimum(distance, ASSOCIATION_GATE)), strict=True):
             if distance[row, path] < ASSOCIATION_GATE:
                 label[rows[row]] = landmark[truth][path]
