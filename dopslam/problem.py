@@ -11,7 +11,7 @@ from dopslam.config.scenario import Scenario
 from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans, from_detections
-from dopslam.records import DetectionSeries, Kind, Landmarks
+from dopslam.records import BaseStations, DetectionSeries, Kind, Landmarks
 from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.adapter import Setup, turning
 from dopslam.slam.belief.records import TYPES, Assumptions
@@ -32,6 +32,12 @@ def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
     """
     spread = np.array(scenario.track.start_std)
     return np.array(scenario.track.start), np.diag(spread**2 if reading == "std" else spread)
+
+
+def base_stations(scenario: Scenario) -> BaseStations:
+    """The base stations as the table that ``anchor`` columns count."""
+    station = scenario.base_station
+    return BaseStations(np.array([station.position], float), np.deg2rad([float(station.yaw_deg)]))
 
 
 def model_landmarks(scenario: Scenario) -> Landmarks:

@@ -6,8 +6,10 @@ step ``k`` owns rows ``offsets[k]:offsets[k + 1]``. World frame right-handed, z 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -22,6 +24,90 @@ class Kind(IntEnum):
     BS = 0
     VA = 1
     SP = 2
+
+
+ABSENT = np.zeros(0, np.int64)  # of a column that is zero in every row unless it is given
+ABSENT.flags.writeable = False
+
+
+class Ragged:
+    """Base of the records whose rows belong to steps: step ``k`` owns rows ``edges[k]:edges[k + 1]`` of every column.
+
+    A record names its offsets (``OFFSETS``), the arrays with one entry per step (``PER_STEP``), and the arrays that its
+    rows own raggedly themselves (``NESTED``: offsets and values). All other arrays are columns, one entry per row.
+    """
+
+    __slots__ = ()
+    OFFSETS: ClassVar[str] = "offsets"
+    PER_STEP: ClassVar[tuple[str, ...]] = ()
+    NESTED: ClassVar[tuple[tuple[str, str], ...]] = ()
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(K + 1,) offsets of the steps."""
+        return getattr(self, self.OFFSETS)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps K."""
+        return len(self.edges) - 1
+
+    @property
+    def step_of_row(self) -> np.ndarray:
+        """(N,) step that owns each row."""
+        return np.repeat(np.arange(self.steps), np.diff(self.edges))
+
+    def rows(self, step: int) -> slice:
+        """Rows of one step."""
+        return slice(int(self.edges[step]), int(self.edges[step + 1]))
+
+    def _columns(self) -> list[str]:
+        other = {self.OFFSETS, *self.PER_STEP, *(name for pair in self.NESTED for name in pair)}
+        arrays: Any = fields(self)  # type: ignore[arg-type]
+        return [f.name for f in arrays if f.name not in other and isinstance(getattr(self, f.name), np.ndarray)]
+
+    def take(self, steps) -> Self:
+        """The record of some steps, in the order given: an index array, a mask or a slice."""
+        steps = np.arange(self.steps)[steps]
+        counts = np.diff(self.edges)[steps]
+        rows = _spread(self.edges[steps], counts)
+        taken: dict[str, Any] = {self.OFFSETS: edges_of(counts)} | {n: getattr(self, n)[rows] for n in self._columns()}
+        taken |= {n: getattr(self, n)[steps] for n in self.PER_STEP if getattr(self, n) is not None}
+        for edges, values in self.NESTED:
+            inner = getattr(self, edges)
+            sizes = np.diff(inner)[rows]
+            taken |= {edges: edges_of(sizes), values: getattr(self, values)[_spread(inner[rows], sizes)]}
+        return replace(self, **taken)  # type: ignore[type-var]
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """Records of successive steps as one; what is no array is taken from the first."""
+        first = parts[0]
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in [*first._columns(), *first.PER_STEP, *(values for _, values in first.NESTED)]
+            if getattr(first, name) is not None
+        }
+        for name in [first.OFFSETS, *(edges for edges, _ in first.NESTED)]:
+            joined[name] = edges_of(np.concatenate([np.diff(getattr(part, name)) for part in parts]))
+        return replace(first, **joined)  # type: ignore[type-var]
+
+
+def edges_of(counts) -> np.ndarray:
+    """(K + 1,) offsets of the steps from their numbers of rows (K,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _spread(first: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Indices first[i] … first[i] + counts[i] − 1 of every i, one behind the other."""
+    return np.arange(int(counts.sum())) + np.repeat(first - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+
+
+def fill_absent(record, names: tuple[str, ...], rows: int) -> None:
+    """Zeros for the columns that were left out."""
+    for name in names:
+        if getattr(record, name) is ABSENT:
+            object.__setattr__(record, name, np.zeros(rows, np.int64))
 
 
 def _check_offsets(record: str, offsets: np.ndarray, rows: int) -> None:
@@ -73,6 +159,26 @@ class Track:
     def state(self) -> np.ndarray:
         """(K, 4) state of paper A, eq. (1): [x m, y m, heading rad, bias m]."""
         return np.column_stack([self.position[:, :2], self.heading, self.bias])
+
+
+@dataclass(frozen=True)
+class BaseStations:
+    """The base stations; ``anchor`` columns of paths and detections count its rows.
+
+    Attributes
+    ----------
+    position : (A, 3) m, world frame
+    yaw : (A,) rad, azimuth of the x axis of each station's own frame, in which its departures are given
+    """
+
+    position: np.ndarray
+    yaw: np.ndarray
+
+    def __post_init__(self):
+        _check_columns(self, ("position", "yaw"), len(self.position))
+
+    def __len__(self) -> int:
+        return len(self.position)
 
 
 @dataclass(frozen=True)
@@ -133,7 +239,7 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Paths:
+class Paths(Ragged):
     """Ray-traced propagation paths of K steps, ragged.
 
     Attributes
@@ -146,7 +252,10 @@ class Paths:
         the last interaction
     doppler : (N,) Hz, positive when approaching
     vertex_offsets : (N + 1,), vertices : (·, 3) m, interaction points of each path
+    anchor : (N,) int, base station that each path leaves; 0 where it is not said
     """
+
+    NESTED = (("vertex_offsets", "vertices"),)
 
     offsets: np.ndarray
     landmark: np.ndarray
@@ -159,24 +268,19 @@ class Paths:
     doppler: np.ndarray
     vertex_offsets: np.ndarray
     vertices: np.ndarray
+    anchor: np.ndarray = field(default_factory=lambda: ABSENT)
 
     def __post_init__(self):
-        _check_columns(self, ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler"), len(self.landmark))
+        fill_absent(self, ("anchor",), len(self.landmark))
+        _check_columns(
+            self, ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler", "anchor"), len(self.landmark)
+        )
         _check_offsets("Paths", self.offsets, len(self.landmark))
         _check_offsets("Paths.vertices", self.vertex_offsets, len(self.vertices))
 
-    @property
-    def steps(self) -> int:
-        """Number of steps K."""
-        return len(self.offsets) - 1
-
-    def rows(self, step: int) -> slice:
-        """Rows of one step."""
-        return slice(int(self.offsets[step]), int(self.offsets[step + 1]))
-
 
 @dataclass(frozen=True)
-class DetectionSeries:
+class DetectionSeries(Ragged):
     """Channel estimates of K snapshots, ragged: what an estimator hands to the filters.
 
     Attributes
@@ -193,7 +297,12 @@ class DetectionSeries:
     threshold : detection threshold on ρ (linear)
     false_alarm_rate : expected false paths per snapshot
     search_volume : volume of the searched region in (c·delay m) × rad⁴ × (m/s)
+    anchor : (N,) int, base station of each detection; 0 where it is not said
+    flags : (N,) int, bits of ``estimation.Flag``: what to mind about a detection; 0 where nothing is said
+    time : (K,) s of every snapshot, rising; None: one period of the scenario apart
     """
+
+    PER_STEP = ("noise_variance", "time")
 
     offsets: np.ndarray
     delay: np.ndarray
@@ -207,19 +316,23 @@ class DetectionSeries:
     threshold: float
     false_alarm_rate: float
     search_volume: float
+    anchor: np.ndarray = field(default_factory=lambda: ABSENT)
+    flags: np.ndarray = field(default_factory=lambda: ABSENT)
+    time: np.ndarray | None = None
 
     def __post_init__(self):
-        _check_columns(self, ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr"), len(self.delay))
-        _check_offsets("DetectionSeries", self.offsets, len(self.delay))
-
-    @property
-    def steps(self) -> int:
-        """Number of snapshots K."""
-        return len(self.offsets) - 1
-
-    def rows(self, step: int) -> slice:
-        """Rows of one snapshot."""
-        return slice(int(self.offsets[step]), int(self.offsets[step + 1]))
+        rows = len(self.delay)
+        fill_absent(self, ("anchor", "flags"), rows)
+        columns = ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr", "anchor", "flags")
+        _check_columns(self, columns, rows)
+        _check_offsets("DetectionSeries", self.offsets, rows)
+        _check_columns(self, ("noise_variance",) if self.time is None else ("noise_variance", "time"), self.steps)
+        if self.time is not None and np.any(np.diff(self.time) <= 0):
+            at = int(np.argmax(np.diff(self.time) <= 0))
+            raise DopslamError(
+                f"DetectionSeries.time must rise, but snapshot {at + 1} is at {self.time[at + 1]:g} s "
+                f"after {self.time[at]:g} s"
+            )
 
 
 def same(left, right) -> bool:

@@ -10,7 +10,7 @@ from dopslam.cli import main
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.scans import Scans
 from dopslam.simulate.world import section_v, simulate
-from dopslam.slam.history import history_of
+from dopslam.slam.history import COLUMNS, history_of
 from dopslam.slam.pmb import ek_pmb
 from dopslam.slam.pmb.ek_pmb import Diagnostics, FilterParameters
 from dopslam.studies.montecarlo import Study, correct_association_weight, run_once, run_study, summarize
@@ -129,8 +129,8 @@ def test_weight_of_the_correct_association():
         associations=(np.array([[-1, -2]]), np.array([[1, -2], [-2, 1]]), np.array([[-2], [1]])),
         existence=(np.zeros(2), np.zeros(2), np.zeros(1)),
     )
-    table = np.zeros((2, 16))
-    table[:, 12], table[:, 15] = 0.9, 1  # one track, existing in the first two steps
+    table = np.zeros((2, COLUMNS))
+    table[:, 12], table[:, 14] = 0.9, 1  # one track, existing in the first two steps
     history = history_of(np.zeros((3, 4)), np.zeros((3, 4, 4)), np.array([0, 1, 2, 2]), table)
     np.testing.assert_allclose(correct_association_weight(scans, diagnostics, history), [1.0, 0.7, 0.4])
 

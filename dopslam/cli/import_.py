@@ -60,7 +60,7 @@ def import_(
         truth, _ = source.part(0, int(source.lengths.sum()))
     found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth)
     world = load(scenario, [f"source.kind={kind}", *overrides(settings), f"track.steps={max(found.steps, 1)}"])
-    records = {"detections": found}
+    records = {"base_stations": build.base_stations(world), "detections": found}
     if truth is not None:
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
     dataset.write_records(out, records, world.to_toml(), 0)

@@ -18,6 +18,7 @@ from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, Line
 from dopslam.config.scenario import Scenario, override
 from dopslam.datasets.parts import Part, scenario_of
 from dopslam.errors import DatasetError
+from dopslam.problem import base_stations
 from dopslam.raytracing.traced import Traced, join
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
 from dopslam.store import file as dataset
@@ -58,14 +59,16 @@ def write_drives(parts: Sequence[Part], folder: Path) -> None:
 def _write(parts: Sequence[Part], places: list[tuple[Part, int, int]], number: int, path: Path) -> None:
     track = _track(places)
     landmarks, paths = _paths(places)
-    records: dict = {"track": track, "landmarks": landmarks, "paths": paths}
+    scenario = told(scenario_of(parts), track)
+    records: dict = {
+        "base_stations": base_stations(scenario), "track": track, "landmarks": landmarks, "paths": paths,
+    }  # fmt: skip
     have = places[0][0].groups
     if "detections" in have:
-        cut = [ragged(part.read("detections", DetectionSeries), *span) for part, *span in places]
-        records["detections"] = join_ragged(cut)
+        cut = [part.read("detections", DetectionSeries).take(slice(*span)) for part, *span in places]
+        records["detections"] = replace(DetectionSeries.join(cut), time=track.time)
     _, seed = dataset.read_root(parts[0].path)
     own_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
-    scenario = told(scenario_of(parts), track)
     dataset.write_records(path, records, scenario.to_toml(), own_seed, {"drive": number, "dataset_seed": seed})
     if "signal" in have:
         dataset.write_signal(path, _snapshots(places), track.steps)
@@ -104,7 +107,7 @@ def _paths(places: list[tuple[Part, int, int]]) -> tuple[Landmarks, Paths]:
     """Landmarks that a path of this drive leads over, and all scatter points, as when it is traced alone."""
     chunks = []
     for part, first, last in places:
-        landmarks, paths = part.landmarks, ragged(part.paths, first, last)
+        landmarks, paths = part.landmarks, part.paths.take(slice(first, last))
         seen = (landmarks.kind != Kind.VA) | np.isin(np.arange(len(landmarks)), paths.landmark)
         kept = Landmarks(**{f.name: getattr(landmarks, f.name)[seen] for f in fields(Landmarks)})
         paths = replace(paths, landmark=(np.cumsum(seen) - 1)[paths.landmark])
@@ -117,31 +120,3 @@ def _snapshots(places: list[tuple[Part, int, int]]) -> Iterator[np.ndarray]:
     for part, first, last in places:
         for step in range(first, last):
             yield dataset.read_snapshot(part.path, step)
-
-
-def ragged(record, first: int, last: int):
-    """Steps ``first`` to ``last`` (exclusive) of paths or detections."""
-    offsets = record.offsets
-    steps, rows = len(offsets) - 1, slice(int(offsets[first]), int(offsets[last]))
-    taken: dict = {"offsets": offsets[first : last + 1] - offsets[first]}
-    if isinstance(record, Paths):
-        edges = record.vertex_offsets[rows.start : rows.stop + 1]
-        taken |= {"vertex_offsets": edges - edges[0], "vertices": record.vertices[edges[0] : edges[-1]]}
-    for field in fields(record):
-        value = getattr(record, field.name)
-        if field.name not in taken and isinstance(value, np.ndarray):
-            per_step = field.name == "noise_variance"
-            assert len(value) == (steps if per_step else offsets[-1])
-            taken[field.name] = value[first:last] if per_step else value[rows]
-    return replace(record, **taken)
-
-
-def join_ragged(parts: list[DetectionSeries]) -> DetectionSeries:
-    """Detections of successive steps as one record."""
-    columns = {
-        f.name: np.concatenate([getattr(part, f.name) for part in parts])
-        for f in fields(DetectionSeries)
-        if isinstance(getattr(parts[0], f.name), np.ndarray) and f.name != "offsets"
-    }
-    counts = np.concatenate([np.diff(part.offsets) for part in parts])
-    return replace(parts[0], offsets=np.concatenate([[0], np.cumsum(counts)]), **columns)

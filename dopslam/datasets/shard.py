@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,12 @@ from dopslam.datasets.tracks import Steps, Tracks
 from dopslam.errors import DatasetError
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Component, Progress, quiet
-from dopslam.records import Landmarks, Paths, Track
+from dopslam.problem import base_stations
+from dopslam.records import BaseStations, Landmarks, Paths, Track
 from dopslam.report.folder import versions
 from dopslam.store import file as dataset
 
-RECORDS = {"track": Track, "steps": Steps, "landmarks": Landmarks, "paths": Paths}
+RECORDS = {"base_stations": BaseStations, "track": Track, "steps": Steps, "landmarks": Landmarks, "paths": Paths}
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class ShardSignal:
     paths: Paths
     seed: int
     first: int
+    time = None  # several drives, each with a time of its own
 
     @property
     def steps(self) -> int:
@@ -83,21 +85,7 @@ class ShardTracer:
         velocity = np.concatenate([track.velocity, np.repeat(track.velocity[-1:], extra, axis=0)])
         self.together = max(self.together, len(position) // self.unit)
         joined = raytracing.join(list(self.tracer.chunks(position, velocity, self.together)))
-        return joined.landmarks, first_steps(joined.paths, track.steps)
-
-
-def first_steps(paths: Paths, steps: int) -> Paths:
-    """The paths of the first steps only."""
-    rows = int(paths.offsets[steps])
-    vertices = int(paths.vertex_offsets[rows])
-    columns = ("landmark", "a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler")
-    return replace(
-        paths,
-        offsets=paths.offsets[: steps + 1],
-        vertex_offsets=paths.vertex_offsets[: rows + 1],
-        vertices=paths.vertices[:vertices],
-        **{name: getattr(paths, name)[:rows] for name in columns},
-    )
+        return joined.landmarks, joined.paths.take(slice(track.steps))
 
 
 def make_shard(
@@ -120,7 +108,9 @@ def make_shard(
     first, count = plan.span(number)
     track, steps = source.part(first, count)
     landmarks, paths = tracer.trace(track)
-    records: dict[str, Any] = {"track": track, "steps": steps, "landmarks": landmarks, "paths": paths}
+    records: dict[str, Any] = {
+        "base_stations": base_stations(scenario), "track": track, "steps": steps, "landmarks": landmarks, "paths": paths,
+    }  # fmt: skip
     signal = ShardSignal(plan.scenario, track, paths, plan.seed, first)
     with _workplace(folder, number) as part:
         if plan.detections:

@@ -6,13 +6,14 @@ variances of 1e-18 s² beside 1e4 m² every covariance form fails.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
+from dopslam.records import ABSENT, SPEED_OF_LIGHT, DetectionSeries, Ragged, fill_absent
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ CLUTTER = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Scans:
+class Scans(Ragged):
     """Measurements of K steps, ragged: step k owns rows `offsets[k]:offsets[k + 1]`.
 
     Attributes
@@ -39,6 +40,10 @@ class Scans:
         Width of the Doppler part of that volume [m/s], divided out when Doppler is not used.
     snr : (N,) array or None
         Post-integration SNR ρ, linear.
+    anchor : (N,) int array
+        Base station of each measurement; 0 where it is not said.
+    interval : (K,) array or None
+        Time [s] since the step before, of the first step since the prior; None: the motion model's own period.
     label : (N,) int array or None
         True landmark of each measurement, -1 for clutter; only for simulated data, never read by a filter.
     """
@@ -50,10 +55,15 @@ class Scans:
     search_volume: float
     doppler_span: float
     snr: Array | None = None
+    anchor: NDArray[np.int64] = field(default_factory=lambda: ABSENT)
+    interval: Array | None = None
     label: NDArray[np.int64] | None = None
+
+    PER_STEP: ClassVar[tuple[str, ...]] = ("interval",)
 
     def __post_init__(self) -> None:
         n = len(self.z)
+        fill_absent(self, ("anchor",), n)
         if self.z.shape != (n, 6) or self.covariance.shape != (n, 6, 6):
             raise FilterError(
                 f"Scans: z has shape {self.z.shape} and covariance {self.covariance.shape}; expected (N, 6), (N, 6, 6)"
@@ -67,6 +77,8 @@ class Scans:
                 "Scans: clutter_count, search_volume and doppler_span must be positive "
                 f"(got {self.clutter_count}, {self.search_volume}, {self.doppler_span})"
             )
+        if self.interval is not None and not (len(self.interval) == self.steps and np.all(self.interval > 0)):
+            raise FilterError(f"Scans.interval must be {self.steps} positive times [s], got {self.interval[:6]}…")
         variances = np.einsum("nii->ni", self.covariance)
         if n and not (variances > 0).all():
             row = int(np.argmin(variances.min(axis=1)))
@@ -74,22 +86,18 @@ class Scans:
                 f"Scans.covariance[{row}] has a variance ≤ 0: {variances[row]}; every component needs noise"
             )
 
-    @property
-    def steps(self) -> int:
-        """Number of scans K."""
-        return len(self.offsets) - 1
-
-    def rows(self, step: int) -> slice:
-        """Rows of one scan."""
-        return slice(int(self.offsets[step]), int(self.offsets[step + 1]))
-
     def clutter_intensity(self, doppler: bool) -> float:
         """c(z), expected false measurements per unit volume, with or without the Doppler dimension."""
         return self.clutter_count / (self.search_volume / (1.0 if doppler else self.doppler_span))
 
 
 def from_detections(
-    detections: DetectionSeries, *, bs_yaw: float = 0.0, doppler_span: float, minimum_clutter: float = 1e-3
+    detections: DetectionSeries,
+    *,
+    bs_yaw: float = 0.0,
+    doppler_span: float,
+    minimum_clutter: float = 1e-3,
+    period: float | None = None,
 ) -> Scans:
     """Channel estimates of a run as measurements of the filters.
 
@@ -103,6 +111,9 @@ def from_detections(
         Width of the estimator's search in radial velocity [m/s], twice its maximum.
     minimum_clutter : float
         Least expected number of false paths per scan that is believed.
+    period : float or None
+        Time [s] from the prior to the first step; where it and the detections' times are known, the scans carry the
+        interval of every step.
     """
     scale = np.array([SPEED_OF_LIGHT, 1.0, 1.0, 1.0, 1.0, 1.0])
     z = np.column_stack(
@@ -117,4 +128,10 @@ def from_detections(
         search_volume=float(detections.search_volume),
         doppler_span=doppler_span,
         snr=np.asarray(detections.snr, dtype=float),
+        anchor=np.asarray(detections.anchor, dtype=np.int64),
+        interval=_intervals(detections.time, period),
     )
+
+
+def _intervals(time: Array | None, period: float | None) -> Array | None:
+    return None if time is None or period is None or not len(time) else np.diff(time, prepend=time[0] - period)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.errors import DatasetError
 from dopslam.evaluate import detections as matching
@@ -28,8 +29,10 @@ def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet)
     """Start a dataset: track, landmarks, paths and floor plan of a traced scenario."""
     _check_new(path)
     traced = pipeline.trace(scenario, seed, progress)
-    records = {"track": traced.track, "landmarks": traced.landmarks, "paths": traced.paths, "plan": traced.plan}
-    records["mesh"] = traced.mesh
+    records = {
+        "base_stations": build.base_stations(scenario), "track": traced.track, "landmarks": traced.landmarks,
+        "paths": traced.paths, "plan": traced.plan, "mesh": traced.mesh,
+    }  # fmt: skip
     dataset.write_records(path, records, scenario.to_toml(), seed)
 
 
@@ -37,7 +40,9 @@ def simulate(path: Path, scenario: Scenario, seed: int) -> None:
     """Start a dataset without a tracer: track, landmarks and detections drawn from the measurement model."""
     _check_new(path)
     track, landmarks, detections = pipeline.simulate(scenario, seed)
-    records = {"track": track, "landmarks": landmarks, "detections": detections}
+    records = {
+        "base_stations": build.base_stations(scenario), "track": track, "landmarks": landmarks, "detections": detections,
+    }  # fmt: skip
     dataset.write_records(path, records, scenario.to_toml(), seed)
 
 
@@ -61,7 +66,8 @@ def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet)
     scenario, seed = scenario_of(path, settings)
     stored = dataset.signal_steps(path)
     if stored:
-        signal = StoredSignal(Path(path), stored)
+        time = dataset.read_record(path, "track", Track).time if "track" in dataset.groups(path) else None
+        signal = StoredSignal(Path(path), stored, time)
     else:
         track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
         signal = SyntheticSignal(scenario.to_toml(), track, paths, seed)

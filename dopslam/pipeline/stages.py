@@ -1,16 +1,13 @@
 """The stages, one function each: trace → synthesize → estimate → slam → bound → evaluate.
 
 Every stage takes and returns records, so that anyone can enter or leave at any of them. Random numbers come from
-``SeedSequence(seed, spawn_key=(component, step))``: results do not depend on the number of workers or on which stages
-ran
-in the same process.
+:mod:`dopslam.pipeline.seeds`: results do not depend on the number of workers or on which stages ran together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,27 +21,14 @@ from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
 from dopslam.evaluate.run import true_association
 from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.pipeline.seeds import Component, generator
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
 from dopslam.slam.history import History
 from dopslam.slam.pmb import ek_pmb, smoother
 from dopslam.store import file as dataset
 
 Progress = Callable[[str, int, int], None]
-
-
-class Component(IntEnum):
-    """Who draws random numbers; the first part of every spawn key."""
-
-    TRACK = 0
-    SCATTER = 1
-    NOISE = 2
-    DETECTIONS = 3
-
-
-def generator(seed: int, component: Component, step: int = 0) -> np.random.Generator:
-    """Random generator of one component and step."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(component), step)))
 
 
 def quiet(stage: str, done: int, total: int) -> None:
@@ -188,6 +172,11 @@ class SyntheticSignal:
         """Number of snapshots."""
         return self.paths.steps
 
+    @property
+    def time(self) -> np.ndarray:
+        """(K,) s of every snapshot."""
+        return self.track.time
+
     def snapshot(self, step: int) -> np.ndarray:
         """Received signal of one step."""
         return synthesize_snapshot(parse(self.scenario_toml), self.track, self.paths, step, self.seed)
@@ -199,6 +188,7 @@ class StoredSignal:
 
     path: Path
     steps: int
+    time: np.ndarray | None = None
 
     def snapshot(self, step: int) -> np.ndarray:
         """Received signal of one step."""
@@ -234,11 +224,11 @@ def estimate(
     for done in parallel(delayed(_estimate_steps)(text, threshold, signal, steps) for steps in chunks):
         found.update(done)
         progress("estimate", len(found), signal.steps)
-    return stack_detections(scenario, [found[step] for step in range(signal.steps)])
+    return stack_detections(scenario, [found[step] for step in range(signal.steps)], signal.time)
 
 
-def stack_detections(scenario: Scenario, snapshots: list) -> DetectionSeries:
-    """Detections of single snapshots (``estimation.Detections``) as one record."""
+def stack_detections(scenario: Scenario, snapshots: list, time: np.ndarray | None = None) -> DetectionSeries:
+    """Detections of single snapshots (``estimation.Detections``) as one record; ``time`` (K,) s where it is known."""
     model = _model(scenario.to_toml())
     speed = scenario.estimator.max_radial_velocity
     # Azimuths cover the circle, elevations count as (−π/2, π/2): the volume that false paths can fall into.
@@ -249,12 +239,14 @@ def stack_detections(scenario: Scenario, snapshots: list) -> DetectionSeries:
         return np.concatenate([getattr(d, name) for d in snapshots])
 
     return DetectionSeries(
-        offsets=np.concatenate([[0], np.cumsum(counts)]),
+        offsets=edges_of(counts),
         **{n: column(n) for n in ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr")},
+        flags=column("flags").astype(np.int64),
         noise_variance=np.array([d.noise_variance for d in snapshots]),
         threshold=float(snapshots[0].threshold),
         false_alarm_rate=scenario.estimator.false_alarm_rate,
         search_volume=float(volume),
+        time=time,
     )
 
 
@@ -278,6 +270,7 @@ def simulate(scenario: Scenario, seed: int) -> tuple[Track, Landmarks, Detection
         threshold=1.0,
         false_alarm_rate=drawn.clutter_count,
         search_volume=drawn.search_volume,
+        time=track.time,
     )
     return track, landmarks, detections
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,23 +42,10 @@ def join(chunks: Sequence[Traced]) -> Traced:
         order=np.array([row[3] for row in rows], dtype=np.int64),
     )
     index = {row[0]: i for i, row in enumerate(rows)}
-    columns = {
-        name: np.concatenate([getattr(chunk.paths, name) for chunk in chunks])
-        for name in ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler", "vertices")
-    }
-    paths = Paths(
-        offsets=_joined_offsets([chunk.paths.offsets for chunk in chunks]),
-        landmark=np.concatenate([_rows(chunk, index)[chunk.paths.landmark] for chunk in chunks]),
-        vertex_offsets=_joined_offsets([chunk.paths.vertex_offsets for chunk in chunks]),
-        **columns,
-    )  # fmt: skip
+    paths = Paths.join([replace(chunk.paths, landmark=_rows(chunk, index)[chunk.paths.landmark]) for chunk in chunks])
     return Traced(landmarks, paths, np.concatenate([chunk.transfer for chunk in chunks]))
 
 
 def _rows(chunk: Traced, index: dict[str, int]) -> np.ndarray:
     """Row of every landmark of a chunk in the united record."""
     return np.array([index[name] for name in chunk.landmarks.name.tolist()], dtype=np.int64)
-
-
-def _joined_offsets(offsets: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(np.concatenate([np.diff(o) for o in offsets]))])

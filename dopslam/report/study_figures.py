@@ -72,7 +72,7 @@ def belief_map(plan: FloorPlan | None, track: Track, landmarks: Landmarks, histo
     last = history.rows(history.steps - 1)
     shown = history.existence[last] > threshold
     dots = axes.scatter(
-        *history.position[last][shown][:, :2].T, c=history.va_probability[last][shown], cmap="coolwarm", vmin=0,
+        *history.position[last][shown][:, :2].T, c=history.type_probability[last][shown][:, Kind.VA], cmap="coolwarm", vmin=0,
         vmax=1, s=22, zorder=4,
     )  # fmt: skip
     figure.colorbar(dots, ax=axes, shrink=0.8, label="belief: virtual anchor (1), scatter point (0)")

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_vector
+from dopslam.records import Kind, Ragged
 from dopslam.slam.pmb.density import PMB
 
 Array = NDArray[np.float64]
 
-COLUMNS = 16  # of a map row: position 3, covariance 9, existence, P(VA | exists), kind, track
+TYPES = len(Kind)
+COLUMNS = 15 + TYPES  # of a map row: position 3, covariance 9, existence, kind, track, P(type | exists) of every type
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +38,7 @@ class Diagnostics:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class History(Ragged):
     """State and map after every step; the map is ragged, step k owns rows map_offsets[k]:map_offsets[k + 1].
 
     Attributes
@@ -46,10 +49,13 @@ class History:
     position : (N, 3) array [m]; of the track's likelier type
     position_covariance : (N, 3, 3) array
     existence : (N,) array; r of the track
-    va_probability : (N,) array; P(VA | exists)
-    kind : (N,) int array; the likelier type, 1 VA or 2 SP
+    type_probability : (N, T) array; P(type | exists), column t of the type that :class:`~dopslam.records.Kind` numbers t
+    kind : (N,) int array; the likelier type, a number of Kind
     track : (N,) int array; number of the measurement that bore the track
     """
+
+    OFFSETS: ClassVar[str] = "map_offsets"
+    PER_STEP: ClassVar[tuple[str, ...]] = ("mean", "covariance")
 
     mean: Array
     covariance: Array
@@ -57,18 +63,9 @@ class History:
     position: Array
     position_covariance: Array
     existence: Array
-    va_probability: Array
+    type_probability: Array
     kind: NDArray[np.int64]
     track: NDArray[np.int64]
-
-    @property
-    def steps(self) -> int:
-        """Number of steps K."""
-        return len(self.mean)
-
-    def rows(self, step: int) -> slice:
-        """Map rows of one step."""
-        return slice(int(self.map_offsets[step]), int(self.map_offsets[step + 1]))
 
     def reported(self, step: int, kind: int, threshold: float = 0.5) -> Array:
         """Positions (·, 3) of the landmarks of one kind with existence above the threshold."""
@@ -85,11 +82,12 @@ def write_map(posterior, table, row):
     b = 1
     while b < blocks:
         best, last = b, b
-        existence = va = 0.0
+        existence = 0.0
+        for t in range(TYPES):
+            table[row, 15 + t] = 0.0
         while last < blocks and posterior.track[last] == posterior.track[b]:
             existence += posterior.weight[last]
-            if posterior.kind[last] == 1:
-                va += posterior.weight[last]
+            table[row, 15 + posterior.kind[last]] += posterior.weight[last]
             if posterior.weight[last] > posterior.weight[best]:
                 best = last
             last += 1
@@ -99,16 +97,17 @@ def write_map(posterior, table, row):
             for j in range(3):
                 table[row, 3 + 3 * i + j] = posterior.covariance[start + i, start + j]
         table[row, 12] = existence
-        table[row, 13] = va / max(existence, 1e-300)
-        table[row, 14] = posterior.kind[best]
-        table[row, 15] = posterior.track[best]
+        table[row, 13] = posterior.kind[best]
+        table[row, 14] = posterior.track[best]
+        for t in range(TYPES):
+            table[row, 15 + t] /= max(existence, 1e-300)
         row += 1
         b = last
     return row
 
 
 def map_table(posterior: PMB) -> Array:
-    """Map rows (T, 16) of one density."""
+    """Map rows (T, COLUMNS) of one density."""
     table = np.empty((posterior.kind.size - 1, COLUMNS))
     return table[: write_map(posterior, table, 0)]
 
@@ -122,7 +121,7 @@ def history_of(mean: Array, covariance: Array, map_offsets: NDArray[np.int64], t
         position=table[:, :3].copy(),
         position_covariance=table[:, 3:12].reshape(-1, 3, 3).copy(),
         existence=table[:, 12].copy(),
-        va_probability=table[:, 13].copy(),
-        kind=table[:, 14].astype(np.int64),
-        track=table[:, 15].astype(np.int64),
+        type_probability=table[:, 15:].copy(),
+        kind=table[:, 13].astype(np.int64),
+        track=table[:, 14].astype(np.int64),
     )

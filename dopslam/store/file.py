@@ -1,13 +1,10 @@
 """The dataset file: every noun of the pipeline in one HDF5 file that can be entered and left anywhere.
 
-Layout, schema version 1: one group per record (``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …),
-one dataset
-per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the seed at
-the
-root. Each group carries the sha256 of its content; every dataset carries a fletcher32 checksum. Units, frames and
-dimensions
-are listed in :mod:`dopslam.store.schema`. Files are written beside their target, synced and moved into place, so that a
-file is either the old one or the new one.
+Layout: one group per record (``base_stations``, ``track``, ``landmarks``, ``paths``, ``signal``, ``detections``, …), one
+dataset per array field with a ``units`` attribute, scalars as attributes, the effective scenario as TOML text and the
+seed at the root. Each group carries the sha256 of its content; every dataset carries a fletcher32 checksum. Units,
+frames and dimensions are listed in :mod:`dopslam.store.schema`. Files are written beside their target, synced and moved
+into place, so that a file is either the old one or the new one.
 """
 
 from __future__ import annotations
@@ -28,10 +25,8 @@ import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.store.columns import chunk_shape, digest, read, stream_digest, texts
-from dopslam.store.schema import UNITS, annotate, is_scale, plain, set_text
+from dopslam.store.schema import EARLIER, READ, SCHEMA, UNITS, VERSION, annotate, is_scale, plain, set_text, unit_of
 
-SCHEMA = "dopslam"
-SCHEMA_VERSION = 1
 _LIBVER = ("v110", "v110")  # checksummed metadata: a damaged file is noticed, not misread
 IN_MEMORY = 512_000_000  # bytes, up to which a file is built in memory
 
@@ -69,9 +64,8 @@ def _replacing(path: Path, extra: int = 0) -> Iterator[h5py.File]:
         memory = size <= IN_MEMORY
         driver: dict[str, Any] = {"driver": "core", "backing_store": False, "block_size": 1 << 20} if memory else {}
         with h5py.File(part, mode, libver=_LIBVER, **driver) as file:
-            if mode == "w":
-                set_text(file, "schema", SCHEMA)
-                file.attrs["schema_version"] = SCHEMA_VERSION
+            set_text(file, "schema", SCHEMA)
+            file.attrs["schema_version"] = VERSION
             yield file
             file.flush()
             image = file.id.get_file_image() if memory else None
@@ -118,9 +112,9 @@ def _check_schema(path: Path, file: h5py.File) -> None:
     schema, version = (plain(file.attrs.get(name)) for name in ("schema", "schema_version"))
     if schema != SCHEMA:
         raise DatasetError(f"{path}: schema is {schema!r}, expected {SCHEMA!r}; not a dopslam dataset")
-    if version != SCHEMA_VERSION:
+    if version not in READ:
         raise DatasetError(
-            f"{path}: schema version {version}, this program reads version {SCHEMA_VERSION}; make the file anew"
+            f"{path}: schema version {version}, this program reads {' and '.join(map(str, READ))}; make the file anew"
         )
 
 
@@ -201,7 +195,7 @@ def _write_group(file: h5py.File, group: str, record) -> None:
             array = np.array(encoded, dtype=h5py.string_dtype(encoding, max([1, *map(len, encoded)])))
         layout: dict[str, Any] = {"fletcher32": True, "chunks": chunk_shape(array)} if array.size else {}
         dataset = node.create_dataset(name, data=array, **layout)
-        set_text(dataset, "units", UNITS.get(name, "1"))
+        set_text(dataset, "units", unit_of(type(record).__name__, name))
         if text:  # by which xarray knows that the bytes are a text
             set_text(dataset, "_Encoding", "utf-8")
     annotate(node, type(record).__name__)
@@ -232,17 +226,17 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
         raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); run the stage that makes it first")
     node = file[group]
     values: dict[str, Any] = {}
-    names, scalars = [], {}
+    names, scalars, earlier = [], {}, {}
     for field in dataclasses.fields(record_type):  # type: ignore[arg-type]
+        old, convert = EARLIER.get((record_type.__name__, field.name), ("", None))
         if field.name in node:
             names.append(field.name)
+        elif old in node:
+            names.append(old)
+            earlier[old] = field.name, convert
         elif field.name in node.attrs:
             scalars[field.name] = values[field.name] = plain(node.attrs[field.name])
-        elif field.default is not dataclasses.MISSING:
-            values[field.name] = field.default
-        elif "None" in str(field.type):
-            values[field.name] = None
-        else:
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise DatasetError(f"{path}: {group}/{field.name} is missing; the group is not a {record_type.__name__}")
     if "sha256" in node.attrs:
         columns, found = read(node, names, scalars)
@@ -250,7 +244,9 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
             raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
     else:
         columns = {name: texts(node[name][()]) for name in names}
-    values |= {name: array.astype(str) if array.dtype.kind == "O" else array for name, array in columns.items()}
+    for name, array in columns.items():
+        name, convert = earlier.get(name, (name, lambda array: array))
+        values[name] = convert(array.astype(str) if array.dtype.kind == "O" else array)
     try:
         return record_type(**values)
     except DopslamError as error:

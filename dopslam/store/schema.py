@@ -1,26 +1,62 @@
 """The dataset file's schema in one place: for every array its unit, frame and dimensions.
 
-Version 1. A group per record; a dataset per array; ragged columns lie flat with an ``…offsets`` column that rises
-from 0 to the
-number of rows. The dimension names become HDF5 dimension scales, so that xarray (engine ``h5netcdf``) opens a group
-as it is.
-Frames: ``world`` right-handed, z up; ``receiver`` with azimuth counted from the heading; ``base station`` turned by
-its yaw.
+Version 2. A group per record; a dataset per array; ragged columns lie flat with an ``…offsets`` column that rises
+from 0 to the number of rows. The dimension names become HDF5 dimension scales, so that xarray (engine ``h5netcdf``)
+opens a group as it is. Frames: ``world`` right-handed, z up; ``receiver`` with azimuth counted from the heading;
+``base station`` turned by its yaw.
+
+Version 1 had no ``anchor`` and ``flags`` (all 0), no ``time`` of detections, no ``base_stations``, and in histories the
+probability of a virtual anchor alone (:data:`EARLIER`); it is still read.
 """
 
 from __future__ import annotations
 
-import h5py
+from collections.abc import Callable
+from typing import Any
 
-UNITS = {
+import h5py
+import numpy as np
+
+SCHEMA = "dopslam"
+VERSION = 2
+READ = (1, VERSION)  # versions this program reads
+
+UNITS: dict[Any, str] = {
     "time": "s", "position": "m", "heading": "rad", "velocity": "m/s", "bias": "m", "start": "m, m, rad, m",
     "tau": "s", "theta_t": "rad", "phi_t": "rad", "theta_r": "rad", "phi_r": "rad", "doppler": "Hz", "vertices": "m",
     "delay": "s", "aoa": "rad", "aod": "rad", "radial_velocity": "m/s", "noise_variance": "W", "gain": "sqrt(W)",
-    "state": "m, m, rad, m", "y": "sqrt(W)", "points": "m", "triangles": "m",
+    "state": "m, m, rad, m", "y": "sqrt(W)", "points": "m", "yaw": "rad", "triangles": "m", "index": "1", "drive": "1", "step": "1",
+    "name": "1", "kind": "1", "order": "1", "offsets": "1", "vertex_offsets": "1", "map_offsets": "1", "landmark": "1",
+    "anchor": "1", "flags": "1", "a": "1", "snr": "1", "existence": "1", "type_probability": "1", "track": "1",
+    "mean": "m, m, rad, m", "covariance": "products of m, m, rad, m", "position_covariance": "m^2",
+    ("DetectionSeries", "covariance"): "products of s, rad, rad, rad, rad, m/s", ("Bound", "landmark"): "m^2",
 }  # fmt: skip
 
+# What a unit does not say.
+DESCRIPTIONS = {
+    ("Paths", "tau"): "geometric delay, without the clock bias",
+    ("Paths", "a"): "amplitude in Sionna's convention, without exp(-2j pi f_c tau), isotropic vertical elements",
+    ("Paths", "doppler"): "positive when approaching",
+    ("Paths", "anchor"): "row of base_stations",
+    ("DetectionSeries", "delay"): "as measured: geometric delay plus clock bias / c",
+    ("DetectionSeries", "radial_velocity"): "positive when approaching",
+    ("DetectionSeries", "anchor"): "row of base_stations",
+    ("DetectionSeries", "flags"): "bits: 1 close pair, 2 edge of view, 4 weak, 8 singular",
+    (
+        "DetectionSeries",
+        "covariance",
+    ): "of delay, aoa azimuth, aoa elevation, aod azimuth, aod elevation, radial_velocity",
+    ("Track", "bias"): "clock bias times c; the receiver's clock is late by it",
+    ("Landmarks", "kind"): "0 BS, 1 VA, 2 SP",
+    ("History", "kind"): "1 VA, 2 SP: the likelier type",
+    ("History", "type_probability"): "given existence; columns BS, VA, SP",
+    ("History", "mean"): "x, y, heading, clock bias times c (, speed m/s, turn rate rad/s)",
+    ("Bound", "covariance"): "of x, y, heading, clock bias times c (, speed m/s, turn rate rad/s)",
+    ("Bound", "landmark"): "of each landmark's position; NaN before its first detection and for the BS",
+}
+
 FRAMES = {
-    "position": "world", "heading": "world", "velocity": "world", "theta_t": "world", "phi_t": "world",
+    "position": "world", "position_covariance": "world", "yaw": "world", "heading": "world", "velocity": "world", "theta_t": "world", "phi_t": "world",
     "theta_r": "world", "phi_r": "world", "vertices": "world", "points": "world", "triangles": "world", "aoa": "receiver", "aod": "base station",
 }  # fmt: skip
 
@@ -37,17 +73,45 @@ DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "Paths": {
         "offsets": ("step_edge",), "landmark": ("path",), "a": ("path",), "tau": ("path",), "theta_t": ("path",),
         "phi_t": ("path",), "theta_r": ("path",), "phi_r": ("path",), "doppler": ("path",),
-        "vertex_offsets": ("path_edge",), "vertices": ("vertex", "xyz"),
+        "vertex_offsets": ("path_edge",), "vertices": ("vertex", "xyz"), "anchor": ("path",),
     },
     "DetectionSeries": {
         "offsets": ("step_edge",), "delay": ("detection",), "aoa": ("detection", "az_el"), "aod": ("detection", "az_el"),
         "radial_velocity": ("detection",), "gain": ("detection",), "covariance": ("detection", "parameter", "parameter_"),
-        "snr": ("detection",), "noise_variance": ("step",),
+        "snr": ("detection",), "noise_variance": ("step",), "anchor": ("detection",), "flags": ("detection",),
+        "time": ("step",),
+    },
+    "BaseStations": {"position": ("base_station", "xyz"), "yaw": ("base_station",)},
+    "History": {
+        "mean": ("step", "state"), "covariance": ("step", "state", "state_"), "map_offsets": ("step_edge",),
+        "position": ("entry", "xyz"), "position_covariance": ("entry", "xyz", "xyz_"), "existence": ("entry",),
+        "type_probability": ("entry", "type"), "kind": ("entry",), "track": ("entry",),
+    },
+    "Bound": {
+        "covariance": ("step", "state", "state_"), "landmark": ("step", "landmarks", "xyz", "xyz_"),
     },
     "FloorPlan": {"name": ("outline",), "offsets": ("outline_edge",), "points": ("point", "xy")},
     "Mesh": {"triangles": ("triangle", "corner", "xyz")},
     "Signal": {"y": ("step", "subcarrier", "symbol", "element")},
 }  # fmt: skip
+
+FIXED = {"xyz": 3, "xyz_": 3, "xy": 2, "az_el": 2, "parameter": 6, "parameter_": 6}  # lengths that never vary
+
+
+def _types_of_version_1(probability: np.ndarray) -> np.ndarray:
+    """(N, 3) type probabilities from the probability of a virtual anchor (N,), the rest a scatter point's."""
+    return np.column_stack([np.zeros_like(probability), probability, 1 - probability])
+
+
+# (record, array) → the array that an earlier version had instead, and how to read it.
+EARLIER: dict[tuple[str, str], tuple[str, Callable[[np.ndarray], Any]]] = {
+    ("History", "type_probability"): ("va_probability", _types_of_version_1),
+}
+
+
+def unit_of(record: str, name: str) -> str:
+    """Unit of an array of a record."""
+    return UNITS.get((record, name), UNITS.get(name, "1"))
 
 
 def set_text(node: h5py.HLObject, name: str, text: str) -> None:
@@ -73,6 +137,8 @@ def annotate(node: h5py.Group, record: str) -> None:
         data, named = node[name], dimensions[name]
         if name in FRAMES:
             set_text(data, "frame", FRAMES[name])
+        if (record, name) in DESCRIPTIONS:
+            set_text(data, "description", DESCRIPTIONS[record, name])
         if data.ndim != len(named):
             continue
         for axis, dimension in enumerate(named):

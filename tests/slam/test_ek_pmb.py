@@ -181,7 +181,8 @@ def test_probabilities_and_covariances_stay_what_they_are(world, options):
     _, scans = simulate(replace(world, clutter_count=10.0), 0, 3)
     history, diagnostics = run(world, scans, **options)
     assert (history.existence >= 0).all() and (history.existence <= 1).all()
-    assert (history.va_probability >= -1e-12).all() and (history.va_probability <= 1 + 1e-12).all()
+    assert (history.type_probability >= -1e-12).all() and (history.type_probability <= 1 + 1e-12).all()
+    np.testing.assert_allclose(history.type_probability.sum(axis=1), 1.0, atol=1e-9)
     for covariance in (history.covariance, history.position_covariance):
         values = np.linalg.eigvalsh(covariance)
         assert (values > 0).all()

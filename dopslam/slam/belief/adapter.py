@@ -158,8 +158,9 @@ def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: 
 
 def history_of(estimates: list[Estimate], types: tuple[Form, ...]) -> History:
     """Estimates of all steps as the filters' common record."""
-    virtual = np.array([form != Form.PS for form in types])
-    va = np.concatenate([np.zeros(0), *(e.type_belief[:, virtual].sum(axis=1) for e in estimates)])
+    kinds = [Kind.SP if form == Form.PS else Kind.VA for form in types]
+    belief = np.concatenate([np.zeros((0, len(types))), *(e.type_belief for e in estimates)])
+    probability = belief @ np.eye(len(Kind))[kinds]  # several forms are one kind of landmark
     return History(
         mean=np.array([[*e.position[:2], e.heading, e.bias] for e in estimates]),
         covariance=np.array([e.state_covariance for e in estimates]),
@@ -167,8 +168,8 @@ def history_of(estimates: list[Estimate], types: tuple[Form, ...]) -> History:
         position=np.concatenate([np.zeros((0, 3)), *(e.feature for e in estimates)]),
         position_covariance=np.concatenate([np.zeros((0, 3, 3)), *(e.feature_covariance for e in estimates)]),
         existence=np.concatenate([np.zeros(0), *(e.existence for e in estimates)]),
-        va_probability=va,
-        kind=np.where(va > 0.5, int(Kind.VA), int(Kind.SP)),
+        type_probability=probability,
+        kind=np.where(probability[:, Kind.VA] > 0.5, int(Kind.VA), int(Kind.SP)),
         track=np.concatenate([np.zeros(0, int), *(e.label for e in estimates)]).astype(np.int64),
     )
 

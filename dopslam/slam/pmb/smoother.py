@@ -243,7 +243,7 @@ def run(
         history.map_offsets,
         history.track,
         history.kind,
-        history.existence * np.where(history.kind == 1, history.va_probability, 1.0 - history.va_probability),
+        history.existence * history.type_probability[np.arange(len(history.kind)), history.kind],
         position,
         spread,
         np.linalg.inv(prior[1]),
