@@ -17,6 +17,9 @@ from .signal.directions import Float
 from .signal.model import SignalModel
 from .signal.paths import PathTable, tangent_jacobian
 
+UNSEEN = 1e-13
+"""Share of the strongest path's energy per gain below which a path leaves no trace."""
+
 
 def fisher_information(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
     """(6P, 6P) information on delay [s], AOA and AOD tangents [rad], radial velocity [m/s] of all paths,
@@ -44,9 +47,23 @@ def crb(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
 def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
     """Post-integration SNR rho (P,) of each path with all others known but their gains: ``|g|^2 / (sigma^2
     [G^-1]_pp)``.
+
+    A path that the link does not see at all (it leaves or arrives where an element's pattern is zero) has ρ = 0, and so
+    has one that the others imitate entirely.
     """
     matrix = gram(model, model.evaluate(paths.geometry))[:, 0, :, 0]
-    return np.abs(paths.gain) ** 2 / (noise_variance * np.diag(np.linalg.inv(matrix)).real)
+    result = np.zeros(len(paths))
+    own = np.diag(matrix).real
+    seen = own > UNSEEN * own.max(initial=0.0)
+    if not seen.any():
+        return result
+    scale = 1 / np.sqrt(own[seen])
+    correlation = matrix[np.ix_(seen, seen)] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(correlation)
+    inverse = np.sum(np.abs(vectors) ** 2 / np.maximum(values, UNSEEN), axis=1)
+    rho = np.abs(paths.gain[seen]) ** 2 * own[seen] / (noise_variance * inverse)
+    result[seen] = np.where(inverse * UNSEEN > 1e-3, 0.0, rho)  # imitated by others to rounding: nothing of its own
+    return result
 
 
 def path_covariances(information: Float, active) -> Float:

@@ -88,10 +88,12 @@ class MatchedProjector:
         frequency, time, *rest = blocks[0]
         weights, frequency = self.grid.combination(frequency, first)
         rates = time @ self.inverse
-        # Conjugate-symmetric vectors are real combinations of such.
+        # Conjugate-symmetric vectors are real combinations of such; cells that were transformed are not symmetric, their
+        # tones count from the first pilot.
         pilots, symbols, *_ = self.folding.axes
-        scaled = np.sqrt(frequency.shape[-1]) * (weights.real if pilots.real else weights.conj())
-        scaled = scaled.astype(np.float32 if pilots.real else np.complex64)
+        real = pilots.real and self.grid.matrix is not None
+        scaled = np.sqrt(frequency.shape[-1]) * (weights.real if real else weights.conj())
+        scaled = scaled.astype(np.float32 if real else np.complex64)
         partial = np.empty((2, *weights.shape[:2], self.partial.shape[2]), np.float32)
         for p, start in enumerate(first):
             product(scaled[p], self.partial[:, start : start + scaled.shape[2]], partial[:, p])

@@ -1,0 +1,71 @@
+"""Whether a lone path is found follows the detection law, whichever way the delays are searched."""
+
+import numpy as np
+import pytest
+
+from estimation import (
+    Nomp,
+    PathTable,
+    SignalModel,
+    comb,
+    detection_probability,
+    digital,
+    random_phase_beams,
+    sweep,
+    ura,
+)
+from estimation import synthesize as received
+from estimation.scenarios import Draw, at_snr, draw_paths
+
+
+def link(kind: str) -> SignalModel:
+    """Links whose delay filter is a matrix or a transform, digital or swept."""
+    rng = np.random.default_rng(5)
+    if kind == "digital, matrix":
+        return SignalModel(comb(28e9, 6.25e6, 64), digital(8, 125e-6), ura(4, 4), ura(2, 4))
+    if kind == "digital, transform":
+        return SignalModel(comb(28e9, 3e6, 128), digital(8, 125e-6), ura(4, 4), ura(2, 4))
+    if kind == "digital, no windows":
+        return SignalModel(comb(28e9, 6.25e6, 20), digital(10, 125e-6), ura(4, 4), ura(2, 4))
+    schedule = sweep(random_phase_beams(16, 16, rng), 8, 35.68e-6, rng=rng)
+    pilots = 64 if kind == "swept, matrix" else 200
+    return SignalModel(comb(28e9, 400e6 / pilots, pilots), schedule, ura(4, 4), ura(2, 4))
+
+
+KINDS = ("digital, matrix", "digital, transform", "digital, no windows", "swept, matrix", "swept, transform")
+
+
+def shares(kind: str, decibel: float, count: int) -> tuple[float, float]:
+    """Share of found paths and the law's, over ``count`` snapshots with one path each."""
+    model = link(kind)
+    estimator = Nomp(model, max_paths=3, max_speed=25.0)
+    found, law = 0, 0.0
+    for seed in range(count):
+        rng = np.random.default_rng((seed, round(10 * decibel)))
+        drawn = draw_paths(model, rng, Draw(paths=1))
+        path = at_snr(
+            model,
+            PathTable(drawn.delay, drawn.aoa, drawn.aod, drawn.radial_velocity, drawn.gain),
+            [10 ** (decibel / 10)],
+        )
+        got = estimator.run(received(model, path, 1.0, rng), noise_variance=1.0)
+        near = np.abs(got.delay - path.delay[0]) < 2 / model.waveform.bandwidth
+        found += bool(near.any())
+        law += float(detection_probability(10 ** (decibel / 10), estimator.threshold))
+    return found / count, law / count
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("decibel", [20.0, 25.0])
+def test_a_strong_lone_path_is_always_found(kind, decibel):
+    found, law = shares(kind, decibel, 12)
+    assert law > 0.995 and found == 1.0
+
+
+@pytest.mark.mc
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("decibel", [14.0, 15.0, 17.0])
+def test_weak_paths_follow_the_law(kind, decibel):
+    count = 150
+    found, law = shares(kind, decibel, count)
+    assert found > law - 0.02 - 2.6 * np.sqrt(max(law * (1 - law), 0.01) / count)
