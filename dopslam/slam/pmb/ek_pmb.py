@@ -36,6 +36,8 @@ from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
 
+LARGEST_LENGTH, LARGEST_ANGLE, LARGEST_SPEED = 1e9, 1e3, 3e8  # m, rad, m/s: no measurement or deviation is larger
+
 
 class Info(NamedTuple):
     """Diagnostics of one step; nothing of it is carried on.
@@ -255,6 +257,15 @@ def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean:
         raise FilterError(
             "detection model 'snr' needs Scans.snr; give the ρ of each detection or use ConstantDetection"
         )
+    largest = np.array([LARGEST_LENGTH, *[LARGEST_ANGLE] * 4, LARGEST_SPEED])
+    wrong = (np.abs(scans.z) > largest) | (np.einsum("nii->ni", scans.covariance) > largest**2)
+    if wrong.any():  # beyond these compiled code overflows, and indexes by what is no number
+        row, column = (int(i) for i in np.argwhere(wrong)[0])
+        raise FilterError(
+            f"Scans row {row}, component {column}: value {scans.z[row, column]:g} or variance "
+            f"{scans.covariance[row, column, column]:g} beyond what can be filtered "
+            f"(magnitude or deviation above {largest[column]:g}); check its unit or drop the measurement"
+        )
     if model.process_noise.shape[0] != np.size(mean):
         raise FilterError(
             f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; "
@@ -299,7 +310,10 @@ def run(
             *arrays, initial_density(*prior), model, at
         )
     except ValueError as error:
-        raise FilterError(f"step {at[0]}: {error}; check the measurement covariances and the prior") from error
+        raise FilterError(
+            f"step {at[0]}: {error}; check the measurement covariances and the prior: the likely cause is a prior too wide "
+            "for a linearization, and the remedy a start from a snapshot"
+        ) from error
     owned = [scans.rows(k) for k in range(scans.steps)]
     diagnostics = Diagnostics(
         nis=nis,

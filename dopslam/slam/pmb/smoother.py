@@ -26,6 +26,8 @@ from dopslam.slam.pmb.window import build, eliminate, enlarge, solve_window
 
 Array = NDArray[np.float64]
 
+KNOWN = 1e-12  # variance that stands for none where a state is known exactly: information must stay finite
+
 
 @dataclass(frozen=True, slots=True)
 class SmootherParameters:
@@ -246,9 +248,9 @@ def run(
         history.existence * history.type_probability[np.arange(len(history.kind)), history.kind],
         position,
         spread,
-        np.linalg.inv(prior[1]),
+        np.linalg.inv(prior[1] + KNOWN * np.eye(n)),
         np.ascontiguousarray(prior[0], dtype=float),
-        np.linalg.inv(motion.process_noise + 1e-12 * np.eye(n)),
+        np.linalg.inv(motion.process_noise + KNOWN * np.eye(n)),
         compile_model(parameters, motion, bs, height),
         smoothing.lag,
         smoothing.iterations,
