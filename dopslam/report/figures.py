@@ -92,8 +92,8 @@ def plan_view(
             _ellipse(axes, mean[:2], covariance[:2, :2], color, enlarged)
     scale = f", drawn {enlarged}× larger" if enlarged > 1 else ""
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses{scale})")
+    axes.set_aspect("equal", adjustable="box")
     _frame(axes, bs, track, paths, landmarks)
-    axes.set_aspect("equal", adjustable="datalim")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
