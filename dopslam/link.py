@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dopslam.config.scenario import ArrayConfig, CustomArray, CylinderArray, PlanarArray, Scenario
+from dopslam.config.arrays import ArrayConfig, CustomArray, CylinderArray, PlanarArray
+from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.records import SPEED_OF_LIGHT, Paths, Track
 from estimation import (

@@ -5,10 +5,14 @@ This is the only room that prints. Errors that a user can mend come out as one l
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
 
 from cyclopts import App, CycloptsError
+
+from dopslam.cli.failure import sentence
 
 VERBS = {
     "run": "Trace, synthesize, estimate, run SLAM, bound and evaluate one scenario; leaves a results folder.",
@@ -43,29 +47,69 @@ for _verb, _help in VERBS.items():
 
 
 def main(tokens: list[str] | None = None) -> None:
-    """Run the command line and leave with 0, or with 2 and one line on standard error."""
+    """Run the command line; whatever happens, leave with one line and a number, never with a traceback.
+
+    0: done. 1: done in part, results are kept and what failed is named. 2: refused or failed. 3: done, but a filter
+    diverged. 130, 143: interrupted, terminated. ``DOPSLAM_DEBUG=1`` lets a fault of the program show its traceback.
+    """
     # One BLAS thread a process, set before NumPy loads: parallelism is over snapshots and runs.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    _tolerate_narrow_terminals()
+    previous = _end_on_terminate()
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         _fail(str(error))
     except KeyboardInterrupt:
-        sys.exit(130)
+        _fail("interrupted; what was finished before is kept", 130)
+    except _Terminated:
+        _fail("terminated; what was finished before is kept", 143)
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
     except Exception as error:
-        if not _is_known(error):
+        if os.environ.get("DOPSLAM_DEBUG"):
             raise
-        _fail(str(error))
+        _fail(sentence(error))
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)
 
 
-def _is_known(error: Exception) -> bool:
-    from dopslam.errors import DopslamError
-    from estimation.errors import EstimationError
-
-    return isinstance(error, DopslamError | EstimationError)
+class _Terminated(BaseException):
+    """SIGTERM arrived: unwind as on an interrupt, so that files are put away and workers ended."""
 
 
-def _fail(message: str) -> None:
+def _end_on_terminate():
+    """Turn SIGTERM into an exception; returns the former handler, None outside the main thread."""
+
+    def end(*_):
+        raise _Terminated
+
+    try:
+        return signal.signal(signal.SIGTERM, end)
+    except ValueError:
+        return None
+
+
+def _tolerate_narrow_terminals() -> None:
+    """A terminal that knows few characters shows others as question marks; it is no reason to fail after the work."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, ValueError, OSError):
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
+def _fail(message: str, code: int = 2) -> None:
+    _end_workers()
     print("dopslam: " + " ".join(message.split()), file=sys.stderr)
-    sys.exit(2)
+    sys.exit(code)
+
+
+def _end_workers() -> None:
+    """End worker processes that were started, so that none outlives the command."""
+    loky = sys.modules.get("joblib.externals.loky.reusable_executor")
+    executor = getattr(loky, "_executor", None)
+    if executor is not None:
+        with contextlib.suppress(Exception):
+            executor.shutdown(wait=False, kill_workers=True)

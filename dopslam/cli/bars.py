@@ -19,7 +19,7 @@ def timed_bars() -> Iterator[Progress]:
         TextColumn("{task.description:<9}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
         TimeRemainingColumn(),
     )  # fmt: skip
-    with Bars(*columns, console=Console(stderr=True), speed_estimate_period=600) as bars:
+    with Bars(*columns, console=Console(stderr=True, markup=False), speed_estimate_period=600) as bars:
         tasks: dict = {}
 
         def report(stage: str, done: int, total: int) -> None:

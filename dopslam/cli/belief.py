@@ -52,7 +52,7 @@ def belief_study(
     table.add_row(
         "orientation [°]", f"{turn:.3f}", f"{low:.3f} – {high:.3f}", f"{limit:.3f}", f"{ratio['heading']:.3f}"
     )
-    console = Console()
+    console = Console(markup=False)
     console.print(table)
     console.print(
         f"belief in the true types {', '.join(f'{v:.3f}' for v in result['type_belief_true'])}, above 0.9 from step "

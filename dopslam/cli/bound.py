@@ -50,7 +50,7 @@ def bound(
     from dopslam.errors import ConfigError
 
     doppler, std = doppler_choice(doppler_std)
-    console = Console()
+    console = Console(markup=False)
     if Path(scene).is_file() and Path(scene).suffix != ".toml":
         if std is not None or csv is not None:
             raise ConfigError(f"{scene}: a dataset's bound uses its own R; leave out a numeric --doppler-std and --csv")

@@ -9,6 +9,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+
+def _seed(_: type, value: int) -> None:
+    if not 0 <= value < 2**63:
+        raise ValueError(f"a seed is a whole number from 0 to 2^63 - 1, not {value}")
+
+
+LARGEST_JOBS = 1024
+Seed = Annotated[int, Parameter(validator=_seed)]
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 Progress = Callable[[str, int, int], None]
 
@@ -42,6 +50,10 @@ def doppler_choice(text: str | None) -> tuple[bool, float | None]:
 
 def worker_count(jobs: int | None) -> int:
     """Number of worker processes: the one asked for, or one for each core that this process may use."""
+    from dopslam.errors import ConfigError
+
+    if jobs is not None and not 1 <= jobs <= LARGEST_JOBS:
+        raise ConfigError(f"--jobs {jobs}: give a number of worker processes from 1 to {LARGEST_JOBS}")
     return jobs or len(os.sched_getaffinity(0))
 
 
@@ -53,7 +65,7 @@ def progress_display() -> Iterator[Progress]:
     from rich.progress import Progress as Bars
 
     columns = (TextColumn("{task.description:<11}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns, console=Console(stderr=True)) as bars:
+    with Bars(*columns, console=Console(stderr=True, markup=False)) as bars:
         tasks: dict[str, object] = {}
 
         def report(stage: str, done: int, total: int) -> None:
@@ -62,3 +74,11 @@ def progress_display() -> Iterator[Progress]:
             bars.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
 
         yield report
+
+
+def leave_if_lost(summary: dict, console) -> bool:
+    """Whether the leading filter diverged; names every one that did."""
+    lost = [name for name, figures in summary["variants"].items() if figures.get("diverged")]
+    if lost:
+        console.print(f"diverged: {', '.join(lost)}; do not use these tracks (check start, motion and covariances)")
+    return summary["filter"] in lost

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dopslam.cli.common import Settings, overrides, worker_count
+from dopslam.cli.common import Seed, Settings, overrides, worker_count
 
 
 def dataset(
@@ -12,7 +12,7 @@ def dataset(
     *,
     out: Path,
     positions: int | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     resume: bool = False,
     signal: bool = False,
     detections: bool = False,
@@ -61,7 +61,7 @@ def dataset(
     with workers(cluster) as threads, timed_bars() as progress:
         manifest = generate(out, plan, scenario, resume, threads or worker_count(jobs), progress)
     paths = sum(entry.paths for entry in manifest.shards)
-    Console().print(
+    Console(markup=False).print(
         f"{out}: {plan.positions} positions, {paths} paths, {len(manifest.landmarks)} landmarks in {plan.shards} shards\n"
         f"sha256 {manifest.sha256}",
         highlight=False,

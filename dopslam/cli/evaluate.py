@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from dopslam.cli.common import Settings, overrides
+from dopslam.cli.common import Settings, leave_if_lost, overrides
 
 
 def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = None) -> None:
@@ -26,4 +27,7 @@ def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = Non
 
     summary, evaluations = stages.evaluate(dataset, overrides(settings))
     stages.report(dataset, out or dataset.resolve().parent, summary, evaluations)
-    Console().print(tables.run_table(summary))
+    console = Console(markup=False)
+    console.print(tables.run_table(summary))
+    if leave_if_lost(summary, console):
+        sys.exit(3)

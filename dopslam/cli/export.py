@@ -34,4 +34,4 @@ def export(
     from dopslam.formats.export import export as write
 
     files = write(source, out, to, drive)
-    Console(highlight=False, soft_wrap=True).print(f"{out}: {len(files)} files, {files[0].name} …")
+    Console(highlight=False, soft_wrap=True, markup=False).print(f"{out}: {len(files)} files, {files[0].name} …")

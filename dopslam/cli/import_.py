@@ -49,22 +49,26 @@ def import_(
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
     rule = foreign.read_mapping(mapping)
     kind = "traced" if foreign.knows_snr(rule) else "model"
-    world = load(scenario, [f"source.kind={kind}", *overrides(settings)])
+    flags = overrides(settings)
+    shown = foreign.period_of(table, rule)
+    if shown is not None and not any(text.replace(" ", "").startswith("track.period=") for text in flags):
+        flags = [*flags, f"track.period={shown!r}"]
+    world = load(scenario, [f"source.kind={kind}", *flags])
     truth = None
     if track is not None:
         own = load(
             scenario,
-            [*overrides(settings), 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"],
+            [*flags, 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"],
         )
         source = tracks.sampled(own, 0)
         truth, _ = source.part(0, int(source.lengths.sum()))
     found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth)
-    world = load(scenario, [f"source.kind={kind}", *overrides(settings), f"track.steps={max(found.steps, 1)}"])
+    world = load(scenario, [f"source.kind={kind}", *flags, f"track.steps={max(found.steps, 1)}"])
     records = {"base_stations": build.base_stations(world), "detections": found}
     if truth is not None:
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
     dataset.write_records(out, records, world.to_toml(), 0)
     hint = "" if {"doppler", "radial_velocity"} & set(rule.columns) else " --doppler-std none"
-    Console(highlight=False, soft_wrap=True).print(
+    Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
     )

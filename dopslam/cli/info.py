@@ -24,7 +24,7 @@ def info(dataset: Path) -> None:
     table = Table("group", "array", "shape", "type", "units", box=None)
     for row in describe(dataset):
         table.add_row(*row)
-    Console().print(table)
+    Console(markup=False).print(table)
 
 
 def _folder(folder: Path) -> None:
@@ -34,7 +34,7 @@ def _folder(folder: Path) -> None:
     from dopslam.datasets import read_manifest
 
     manifest = read_manifest(folder)
-    plan, console = manifest.plan, Console(highlight=False, soft_wrap=True)
+    plan, console = manifest.plan, Console(highlight=False, soft_wrap=True, markup=False)
     kinds = ["track", "steps", "landmarks", "paths", *["signal"] * plan.signal, *["detections"] * plan.detections]
     console.print(
         f"{plan.name}, seed {plan.seed}: {plan.positions} positions in {plan.shards} shards of {', '.join(kinds)}"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dopslam.cli.common import Settings, doppler_choice, overrides, worker_count
+from dopslam.cli.common import Seed, Settings, doppler_choice, overrides, worker_count
 
 
 def montecarlo(
@@ -19,7 +19,7 @@ def montecarlo(
     particles: int | None = None,
     doppler_std: str | None = None,
     prior: Literal["std", "var"] = "std",
-    seed: int = 0,
+    seed: Seed = 0,
     jobs: int | None = None,
     cluster: str | None = None,
     json: Path | None = None,
@@ -91,7 +91,7 @@ def montecarlo(
     for name, value in result["rmse_over_bound"].items():
         low, high = result["rmse_over_bound_interval"][name]
         table.add_row(name, f"{value:.3f}", f"{low:.3f} – {high:.3f}")
-    console = Console()
+    console = Console(markup=False)
     console.print(table)
     va, sp = result["gospa_va_m"], result["gospa_sp_m"]
     low, high = result["nees_interval"]

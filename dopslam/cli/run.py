@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dopslam.cli.common import Settings, doppler_choice, overrides, progress_display, worker_count
+from dopslam.cli.common import Seed, Settings, doppler_choice, leave_if_lost, overrides, progress_display, worker_count
+from dopslam.cli.failure import sentence
 
 
 def run(
     scene: str = "ring_road",
     *,
-    seed: int = 0,
+    seed: Seed = 0,
     source: Literal["traced", "model"] | None = None,
     density: Annotated[Literal["joint", "marginal", "bp"] | None, Parameter(name="--filter")] = None,
     doppler_std: str | None = None,
@@ -69,6 +72,17 @@ def run(
         function(*arguments)
         seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
 
+    failed: dict[str, str] = {}
+
+    def tried(name: str, stage: str, function, *arguments):
+        """A variant that fails is named at the end; the others go on."""
+        try:
+            timed(stage, function, *arguments)
+        except Exception as error:
+            if os.environ.get("DOPSLAM_DEBUG"):
+                raise
+            failed[name] = sentence(error)
+
     with folder.results_folder(runs, scenario.name) as (working, final):
         data = working / "dataset.h5"
         (working / "scenario.toml").write_text(scenario.to_toml(), encoding="utf-8")
@@ -84,14 +98,26 @@ def run(
             wanted = [v for v in stages.VARIANTS.values() if v[0] in densities and (used or not v[1])]
             for done, (variant, doppler) in enumerate(wanted):
                 progress("slam", done, len(wanted))  # the very first run compiles for a minute
-                timed("slam", stages.slam, data, (), variant, doppler)
+                tried(stages.variant_name(variant, doppler), "slam", stages.slam, data, (), variant, doppler)
             progress("slam", len(wanted), len(wanted))
         for doppler in (True, False) if used else (False,):
-            timed("bound", stages.bound, data, (), doppler)
+            tried(stages.bound_name(doppler), "bound", stages.bound, data, (), doppler)
         start = time.perf_counter()
-        summary, evaluations = stages.evaluate(data)
-        summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
-        stages.report(data, working, summary, evaluations)
-    console = Console()
-    console.print(tables.run_table(summary))
+        summary = None
+        try:
+            summary, evaluations = stages.evaluate(data, failed=failed)
+            summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
+            stages.report(data, working, summary, evaluations)
+        except Exception as error:  # what was computed is worth more than its report
+            failed["evaluate"] = sentence(error)
+            folder.write_json(working / "failed.json", failed)
+    console = Console(markup=False)
+    if summary is not None:
+        console.print(tables.run_table(summary))
+    for name, why in failed.items():
+        console.print(f"failed: {name}: {why}")
     console.print(f"results: {final}")
+    if failed:
+        sys.exit(1)
+    if summary is not None and leave_if_lost(summary, console):
+        sys.exit(3)

@@ -14,4 +14,4 @@ def scenes() -> None:
     for name, folder in shipped_scenes().items():
         scenario = load(folder)
         table.add_row(name, scenario.title, str(scenario.track.steps), str(len(scenario.scatter_point)))
-    Console().print(table)
+    Console(markup=False).print(table)

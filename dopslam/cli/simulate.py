@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dopslam.cli.common import Settings, overrides
+from dopslam.cli.common import Seed, Settings, overrides
 
 
 def simulate(
-    scene: str, *, out: Path, seed: int = 0, doppler_std: float | None = None, settings: Settings = None
+    scene: str, *, out: Path, seed: Seed = 0, doppler_std: float | None = None, settings: Settings = None
 ) -> None:
     """Draw a track and its detections from the measurement model, without tracing, into a new dataset file.
 

@@ -51,6 +51,6 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     for row in rows:
         cells = [f"{value:.3g} [{low:.3g}, {high:.3g}]" for value, low, high in row.figures.values()]
         shown.add_row(*map(str, row.point.values()), *cells, str(row.diverged))
-    console = Console()
+    console = Console(markup=False)
     console.print(shown)
     console.print(f"written: {out}")

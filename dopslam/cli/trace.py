@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dopslam.cli.common import Settings, overrides, progress_display
+from dopslam.cli.common import Seed, Settings, overrides, progress_display
 
 
-def trace(scene: str, *, out: Path, seed: int = 0, settings: Settings = None) -> None:
+def trace(scene: str, *, out: Path, seed: Seed = 0, settings: Settings = None) -> None:
     """Drive a track through the scene and trace its paths into a new dataset file.
 
     Parameters

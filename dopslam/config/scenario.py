@@ -9,32 +9,33 @@ angles without a suffix are radians.
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 
+from dopslam.config.arrays import LARGEST_ARRAY, ArrayConfig, elements
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
 from dopslam.config.drives import DatasetConfig
+from dopslam.config.types import (
+    LARGEST_SNAPSHOT,
+    Coordinate,
+    Count,
+    Frozen,
+    NonNegative,
+    Positive,
+    Probability,
+    Seed,
+    Vector3,
+    Vector4,
+)
 from dopslam.errors import ConfigError
 
-Vector3 = tuple[float, float, float]
-Vector4 = tuple[float, float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Probability = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
-# Of the elements: the same all round, a patch (cosine about its own outward direction), or a dipole along z.
-Pattern = Literal["isotropic", "cosine", "dipole"]
 
-
-class _Frozen(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Scene(_Frozen):
+class Scene(Frozen):
     """Where the geometry comes from: a Mitsuba XML beside the scenario or a scene that ships with Sionna RT."""
 
     file: str | None = None
@@ -50,62 +51,32 @@ class Scene(_Frozen):
         return self
 
 
-class CylinderArray(_Frozen):
-    """Stacked rings of vertical elements; sees all azimuths without ambiguity."""
-
-    kind: Literal["cylinder"] = "cylinder"
-    columns: Count
-    rings: Count
-    spacing_wavelengths: Positive = 0.5  # along the ring (chord) and between the rings
-    pattern: Pattern = "isotropic"
-
-
-class PlanarArray(_Frozen):
-    """Uniform rectangular array in its y–z plane, boresight +x."""
-
-    kind: Literal["planar"] = "planar"
-    columns: Count
-    rows: Count
-    spacing_wavelengths: Positive = 0.5
-    pattern: Pattern = "isotropic"
-
-
-class CustomArray(_Frozen):
-    """Arbitrary element positions in wavelengths, in the array's frame."""
-
-    kind: Literal["custom"] = "custom"
-    positions_wavelengths: tuple[Vector3, ...] = Field(min_length=1)
-
-
-ArrayConfig = Annotated[CylinderArray | PlanarArray | CustomArray, Field(discriminator="kind")]
-
-
-class BaseStation(_Frozen):
+class BaseStation(Frozen):
     """The transmitter, known to the receiver."""
 
     position: Vector3
-    yaw_deg: float = 0.0
+    yaw_deg: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
     array: ArrayConfig
 
 
-class Receiver(_Frozen):
+class Receiver(Frozen):
     """The moving receiver (UE); its array turns with the heading."""
 
-    height: float = 0.0
+    height: Coordinate = 0.0
     array: ArrayConfig
 
 
-class Beams(_Frozen):
+class Beams(Frozen):
     """What the base station sends over time."""
 
     kind: Literal["random_phase", "dft", "antenna"] = "random_phase"
     beams: Count = 16
     sweeps: Count = 8
     order: Literal["permuted", "linear"] = "permuted"
-    seed: int = 0
+    seed: Seed = 0
 
 
-class Radio(_Frozen):
+class Radio(Frozen):
     """Waveform and beam schedule of one snapshot (paper A, eq. 2)."""
 
     carrier_frequency: Positive = 28e9  # Hz
@@ -117,11 +88,11 @@ class Radio(_Frozen):
     beams: Beams = Beams()
 
 
-class TrackConfig(_Frozen):
+class TrackConfig(Frozen):
     """Coordinated turn of paper A, eq. (1); a turn rate of zero is a straight line."""
 
     speed: NonNegative  # m/s
-    turn_rate: float = 0.0  # rad/s
+    turn_rate: Annotated[float, Field(ge=-100, le=100)] = 0.0  # rad/s
     period: Positive = 0.5  # s
     steps: Count = 40
     start: Vector4  # x m, y m, heading rad, clock bias m: mean of the receiver's initial knowledge
@@ -130,7 +101,7 @@ class TrackConfig(_Frozen):
     random: bool = True  # draw start and process noise; False: exactly the nominal track
 
 
-class ScatterPoint(_Frozen):
+class ScatterPoint(Frozen):
     """A small object, as a point with a constant radar cross-section."""
 
     name: str
@@ -138,15 +109,15 @@ class ScatterPoint(_Frozen):
     rcs: Positive = 100.0  # m²
 
 
-class Trace(_Frozen):
+class Trace(Frozen):
     """Settings of the ray tracer."""
 
     max_depth: Annotated[int, Field(ge=1, le=5)] = 1
     samples: Annotated[int, Field(ge=1000)] = 200_000  # rays launched
-    seed: int = 1
+    seed: Seed = 1
 
 
-class SourceModel(_Frozen):
+class SourceModel(Frozen):
     """Detections drawn from the measurement model, as in paper A, Section V."""
 
     range_std: Positive = 0.1  # m
@@ -159,16 +130,16 @@ class SourceModel(_Frozen):
     virtual_anchors: tuple[Vector3, ...] = ()  # m; without a trace the walls have to be named by their VAs
 
 
-class SourceTraced(_Frozen):
+class SourceTraced(Frozen):
     """Detections estimated from the synthesized signal of a traced scene."""
 
-    transmit_power_dbm: float = 0.0  # over all pilots together
-    noise_figure_db: float = 7.0
+    transmit_power_dbm: Annotated[float, Field(ge=-300, le=300)] = 0.0  # over all pilots together
+    noise_figure_db: Annotated[float, Field(ge=-50, le=200)] = 7.0
     temperature: Positive = 290.0  # K
     added_noise: Literal["none", "model"] = "none"  # "model": blur the detections by the R of [source.model]
 
 
-class Source(_Frozen):
+class Source(Frozen):
     """Where detections come from."""
 
     kind: Literal["traced", "model"] = "traced"
@@ -176,7 +147,7 @@ class Source(_Frozen):
     traced: SourceTraced = SourceTraced()
 
 
-class Estimator(_Frozen):
+class Estimator(Frozen):
     """Channel estimator of a snapshot."""
 
     kind: Literal["nomp", "sage", "esprit"] = "nomp"
@@ -186,7 +157,7 @@ class Estimator(_Frozen):
     dense_multipath: bool = False  # estimate the dense part's delay profile and whiten with it
 
 
-class Filter(_Frozen):
+class Filter(Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
     density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B, without Doppler
@@ -213,7 +184,7 @@ class Filter(_Frozen):
     turn_rate_walk: Positive = 0.002  # rad/s per step
 
 
-class Evaluation(_Frozen):
+class Evaluation(Frozen):
     """How a map is judged."""
 
     gospa_cutoff: Positive = 20.0  # m
@@ -221,7 +192,7 @@ class Evaluation(_Frozen):
     found_radius: Positive = 3.0  # m
 
 
-class Scenario(_Frozen):
+class Scenario(Frozen):
     """A whole scenario: scene, radio, motion, detection source, estimator and filter."""
 
     name: str
@@ -247,6 +218,22 @@ class Scenario(_Frozen):
         names = [p.name for p in self.scatter_point]
         if len(set(names)) < len(names):
             raise ValueError("scatter_point names must differ from one another")
+        return self
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self):
+        radio = self.radio
+        factors = {
+            "radio.subcarriers": radio.subcarriers, "radio.beams.beams": radio.beams.beams,
+            "radio.beams.sweeps": radio.beams.sweeps, "elements of receiver.array": elements(self.receiver.array),
+        }  # fmt: skip
+        samples = math.prod(factors.values())
+        if samples > LARGEST_SNAPSHOT or elements(self.base_station.array) > LARGEST_ARRAY:
+            said = " × ".join(f"{name} = {value}" for name, value in factors.items())
+            raise ValueError(
+                f"{said} is {samples:.3g} samples a snapshot, with {elements(self.base_station.array)} elements of "
+                f"base_station.array; at most {LARGEST_SNAPSHOT:.0e} and {LARGEST_ARRAY} fit in memory"
+            )
         return self
 
     @property
@@ -308,7 +295,7 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
     """Validate TOML text; see :func:`load`."""
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{source}: not valid TOML: {error}") from error
     for override in overrides:
         _apply(tree, override)
@@ -337,7 +324,7 @@ def _apply(tree: dict, text: str) -> None:
             raise ConfigError(f"--set {text!r}: {part!r} is not a table")
     try:
         node[last] = tomllib.loads(f"value = {value.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         node[last] = value.strip()
 
 

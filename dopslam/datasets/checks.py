@@ -147,8 +147,13 @@ def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
             np.linalg.cholesky(detections.covariance / scale[:, :, None] / scale[:, None, :])
         except (np.linalg.LinAlgError, FloatingPointError):
             yield "detections/covariance", "is not positive definite everywhere"
-        if not np.allclose(detections.covariance, detections.covariance.swapaxes(1, 2), rtol=1e-9, atol=0):
+        # Off-diagonal entries are rounded in proportion to the deviations that make them, not to themselves.
+        deviation = np.sqrt(np.abs(np.einsum("nii->ni", detections.covariance)))
+        skew = np.abs(detections.covariance - detections.covariance.swapaxes(1, 2))
+        if np.any(skew > 1e-6 * deviation[:, :, None] * deviation[:, None, :]):
             yield "detections/covariance", "is not symmetric"
+        if not (np.isfinite(detections.threshold) and detections.threshold > 0):
+            yield "detections/threshold", f"is {detections.threshold}, no positive number"
         if np.any(detections.snr <= 0):
             yield "detections/snr", "holds values that are not positive"
 

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, LineTracks
+from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, FileTracks, LineTracks
 from dopslam.config.scenario import Scenario, override
 from dopslam.datasets.parts import Part, scenario_of
 from dopslam.errors import DatasetError
+from dopslam.models.motion import CoordinatedTurn, propagate
 from dopslam.problem import base_stations
 from dopslam.raytracing.traced import Traced, join
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
@@ -82,7 +83,9 @@ def told(scenario: Scenario, track: Track) -> Scenario:
     x, y, _, bias = scenario.track.process_std
     if config.kind != "motion":
         settings["speed"] = speed
-    if isinstance(config, LineTracks):
+    if isinstance(config, FileTracks):
+        settings |= _of_a_file(track, scenario, speed)
+    elif isinstance(config, LineTracks):
         settings["turn_rate"] = 0.0
     elif isinstance(config, CircleTracks):
         middle = np.array(config.center) - track.start[:2]
@@ -94,6 +97,41 @@ def told(scenario: Scenario, track: Track) -> Scenario:
         settings["turn_rate"] = 0.0
         settings["process_std"] = [float(np.hypot(x, aside)), float(np.hypot(y, aside)), float(turn), bias]
     return override(scenario, [f"track.{name}={value!r}" for name, value in settings.items()])
+
+
+def _of_a_file(track: Track, scenario: Scenario, speed: float) -> dict:
+    """Period, mean turn rate and process noise that fit a drive from a file.
+
+    The filters' motion model is a coordinated turn of known speed and turn rate, with noise; a drive of one's own is told
+    as the turn nearest to it, with noise as large as its departures (never less than the scenario's).
+
+    Raises
+    ------
+    DatasetError
+        If its times are irregular: the filters need a constant period.
+    """
+    gaps = np.diff(track.time)
+    if not len(gaps):
+        return {}
+    period = float(np.mean(gaps))
+    if np.ptp(gaps) > 0.02 * period:
+        raise DatasetError(
+            f"track file: the times of a drive are {gaps.min():g} to {gaps.max():g} s apart; the filters need a constant "
+            "period: resample it"
+        )
+    turned = (np.diff(track.heading) + np.pi) % (2 * np.pi) - np.pi
+    rate = float(np.mean(turned)) / period
+    model = CoordinatedTurn(period, np.eye(4), speed, rate)
+    predicted = np.array([propagate(state, model) for state in track.state[:-1]])
+    off = np.sqrt(np.mean((track.position[1:, :2] - predicted[:, :2]) ** 2, axis=0))
+    x, y, heading, bias = scenario.track.process_std
+    return {
+        "period": period,
+        "turn_rate": rate,
+        "process_std": [
+            float(max(x, off[0])), float(max(y, off[1])), float(max(heading, np.std(turned))), bias,
+        ],
+    }  # fmt: skip
 
 
 def _track(places: list[tuple[Part, int, int]]) -> Track:

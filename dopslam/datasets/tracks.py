@@ -62,6 +62,7 @@ class Tracks:
     seed: int
     lengths: np.ndarray
     rows: dict[str, np.ndarray] | None = None
+    ids: np.ndarray | None = None
 
     @property
     def limit(self) -> int | None:
@@ -89,7 +90,9 @@ class Tracks:
         start = np.repeat([track.start for track in made], lengths, axis=0)[chosen]
         steps = Steps(
             index=np.arange(first, first + count),
-            drive=np.repeat(np.array(drives), lengths)[chosen],
+            drive=np.repeat(np.array(drives) if self.ids is None else self.ids[drives.start : drives.stop], lengths)[
+                chosen
+            ],
             step=np.concatenate([np.arange(n) for n in lengths])[chosen],
             start=start,
         )
@@ -161,8 +164,7 @@ def sampled(scenario: Scenario, seed: int) -> Tracks:
     """
     config = _config(scenario)
     if isinstance(config.tracks, FileTracks):
-        rows, lengths = _read(scenario, config.tracks)
-        return Tracks(scenario, seed, lengths, rows)
+        return Tracks(scenario, seed, *_read(scenario, config.tracks))
     return Tracks(scenario, seed, np.array([config.steps or scenario.track.steps]))
 
 
@@ -269,13 +271,13 @@ def track_file(scenario: Scenario) -> Path | None:
     return path if path.is_absolute() or scenario._folder is None else scenario._folder / path
 
 
-def _read(scenario: Scenario, config: FileTracks) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _read(scenario: Scenario, config: FileTracks) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     path = track_file(scenario)
     assert path is not None
     try:
-        with open(path, newline="", encoding="utf-8") as file:
+        with open(path, newline="", encoding="utf-8-sig") as file:
             header, *lines = [line for line in csv.reader(file) if line and not line[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
         raise ConfigError(
             f"dataset.tracks.file = {config.file!r}: cannot be read as CSV with a header ({error})"
         ) from error
@@ -297,22 +299,47 @@ def _read(scenario: Scenario, config: FileTracks) -> tuple[dict[str, np.ndarray]
     rows = dict(zip(names, table.T, strict=True))
     drive = rows.pop("drive", np.zeros(len(table)))
     edges = np.flatnonzero(np.diff(drive)) + 1
-    return _completed(rows, edges, scenario, path), np.diff([0, *edges, len(table)])
+    ids = drive[np.concatenate([[0], edges])]
+    if len(np.unique(ids)) < len(ids) or np.any(ids != np.round(ids)) or np.any(ids < 0) or np.any(ids > 1e9):
+        raise ConfigError(f"{path}: drives are whole numbers from 0, the rows of each together; got {ids.tolist()[:6]}")
+    for part in np.split(rows["time"], edges):
+        if np.any(np.diff(part) <= 0):
+            at = int(np.argmax(np.diff(part) <= 0)) + 1
+            raise ConfigError(
+                f"{path}: time must rise within a drive, but {part[at]:g} s follows {part[at - 1]:g} s; sort or clean it"
+            )
+    if np.any(np.abs(table) > 1e9):
+        row = int(np.argmax((np.abs(table) > 1e9).any(axis=1)))
+        raise ConfigError(f"{path}: data row {row + 1} holds a number beyond 1e9; check its unit")
+    return np.diff([0, *edges, len(table)]), _completed(rows, edges, scenario), ids.astype(np.int64)
 
 
-def _completed(rows: dict[str, np.ndarray], edges: np.ndarray, scenario: Scenario, path: Path) -> dict[str, np.ndarray]:
+def _completed(rows: dict[str, np.ndarray], edges: np.ndarray, scenario: Scenario) -> dict[str, np.ndarray]:
     """Height, velocity and heading where the file leaves them out: central differences within each drive."""
     rows = {"z": np.full(len(rows["time"]), scenario.receiver.height)} | rows
     for axis in "xyz":
         if f"v{axis}" not in rows:
             parts = zip(np.split(rows[axis], edges), np.split(rows["time"], edges), strict=True)
-            rows[f"v{axis}"] = np.concatenate([_rate(place, time, path) for place, time in parts])
+            rows[f"v{axis}"] = np.concatenate([_rate(place, time) for place, time in parts])
     if "heading" not in rows:
-        rows["heading"] = np.arctan2(rows["vy"], rows["vx"])
+        course = np.arctan2(rows["vy"], rows["vx"])
+        moving = np.hypot(rows["vx"], rows["vy"]) > STANDING
+        rows["heading"] = np.concatenate(
+            [_held(*part) for part in zip(np.split(course, edges), np.split(moving, edges), strict=True)]
+        )
     return rows
 
 
-def _rate(place: np.ndarray, time: np.ndarray, path: Path) -> np.ndarray:
-    if len(time) > 1 and np.any(np.diff(time) <= 0):
-        raise ConfigError(f"{path}: time must rise within a drive (near {time[int(np.argmin(np.diff(time)))]:g} s)")
+STANDING = 1e-3  # m/s; slower than this a receiver has no course
+
+
+def _held(course: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Headings of a drive: the course where it moves, the last one where it stands (before the first move, that of it)."""
+    if not moving.any():
+        return np.zeros(len(course))
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(course)), -1))
+    return course[np.where(last < 0, int(np.argmax(moving)), last)]
+
+
+def _rate(place: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.gradient(place, time) if len(time) > 1 else np.zeros(1)

@@ -18,6 +18,9 @@ from dopslam.slam.history import History
 ASSOCIATION_GATE = 100.0  # squared Mahalanobis distance (6 degrees of freedom) beyond which a detection is false
 
 
+LOST_NEES = 500.0
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Errors and bounds per step of one run.
@@ -41,6 +44,17 @@ class Evaluation:
     gospa_va: np.ndarray
     gospa_sp: np.ndarray
     found: np.ndarray
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the track is lost by the truth: an error at the end, or a claim of accuracy, that no luck explains.
+
+        The last position is beyond 10 m and 30 times its bound, or more than half of the NEES exceed
+        ``LOST_NEES`` (4 are expected; a filter that is merely overconfident stays in the tens).
+        """
+        nees = np.nan_to_num(self.nees, nan=np.inf)
+        astray = not self.position_error[-1] <= max(10.0, 30.0 * float(np.nan_to_num(self.peb[-1], posinf=1e9)))
+        return bool(astray or np.median(nees) > LOST_NEES)
 
     @property
     def rmse_over_bound(self) -> dict[str, float]:
@@ -155,6 +169,7 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
         return {str(name): (float(error) if np.isfinite(error) else None) for name, error in pairs}
 
     return {
+        "diverged": evaluation.diverged,
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),
         "clock_bias_rmse_m": _rms(evaluation.bias_error),

@@ -87,7 +87,7 @@ class Mapping:
     offsets: dict[str, float]
     std: dict[str, float]
     assumed: dict[str, float]
-    noise_floor_db: float = 0.0
+    noise_floor_db: float | None = None
 
 
 def read_mapping(path: str | Path) -> Mapping:
@@ -100,7 +100,7 @@ def read_mapping(path: str | Path) -> Mapping:
     """
     try:
         tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise DatasetError(f"{path}: not a readable TOML mapping ({error})") from error
     measured = [*QUANTITIES, "doppler", "power", "snr"]
     allowed = {
@@ -128,12 +128,19 @@ def read_mapping(path: str | Path) -> Mapping:
     for name, value in tree.get("std", {}).items():
         if not 0 < value < np.inf:
             raise DatasetError(f"{path}: std.{name} = {value!r}; give a positive number")
+    floor = tree.get("noise_floor_db")
+    if (floor is not None and not (isinstance(floor, int | float) and np.isfinite(floor))) or isinstance(floor, bool):
+        raise DatasetError(f"{path}: noise_floor_db = {floor!r}; give a number in dB")
     columns = tree.get("columns", {})
+    if "power" in columns and floor is None:
+        raise DatasetError(
+            f"{path}: [columns] has power; without noise_floor_db = … (dB) it says nothing about the SNR"
+        )
     if not {"time", "step"} & set(columns) or not (set(QUANTITIES) | {"doppler"}) & set(columns):
         raise DatasetError(f"{path}: [columns] needs time or step, and at least one of {', '.join(QUANTITIES)}")
     return Mapping(
         columns, *(tree.get(s, {}) for s in ("units", "conventions", "offsets", "std", "assumed")),
-        noise_floor_db=float(tree.get("noise_floor_db", 0.0)),
+        noise_floor_db=tree.get("noise_floor_db"),
     )  # fmt: skip
 
 
@@ -159,8 +166,14 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
             with open(path, newline="", encoding="utf-8-sig") as file:
                 header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
             columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
-            found = dict(zip((name.strip() for name in header), map(np.array, columns), strict=True))
-    except (OSError, ValueError, TypeError, NotImplementedError, KeyError, IndexError) as error:
+            header = [name.strip() for name in header]
+            twice = sorted({name for name in header if header.count(name) > 1} & set(names))
+            if twice:
+                raise DatasetError(f"{path}: column {twice[0]!r} stands in the header twice; rename or remove one")
+            found = dict(zip(header, map(np.array, columns), strict=True))
+    except DatasetError:
+        raise
+    except Exception as error:  # scipy and csv raise all kinds for damaged files
         raise DatasetError(
             f"{path}: cannot be read as CSV with a header or a MATLAB file before v7.3 ({error})"
         ) from error
@@ -177,6 +190,8 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
             raise DatasetError(
                 f"{path}: column {name!r} holds {table[name][row]} in data row {row + 1}; remove such rows"
             )
+    if not any(len(column) for column in table.values()):
+        raise DatasetError(f"{path}: holds a header but no row; give at least one detection")
     if len({len(column) for column in table.values()}) > 1:
         sizes = ", ".join(f"{name} {len(column)}" for name, column in table.items())
         raise DatasetError(f"{path}: columns differ in length: {sizes}")
@@ -198,10 +213,15 @@ def detections(
     """
     table = read_table(path, list(mapping.columns.values()))
     get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
-    step = _steps(path, get, scenario)
+    step = _steps(path, get, scenario, truth)
     count = steps if steps is not None else int(step.max(initial=-1)) + 1
-    inside = (step >= 0) & (step < count)
-    order = np.flatnonzero(inside)[np.argsort(step[inside], kind="stable")]
+    outside = (step < 0) | (step >= count)
+    if outside.any():
+        raise DatasetError(
+            f"{path}: {int(outside.sum())} rows lie outside the track's {count} steps, the first in data row "
+            f"{int(np.argmax(outside)) + 1} (step {step[np.argmax(outside)]}); give the track of the same drive"
+        )
+    order = np.argsort(step, kind="stable")
     get, step = {name: column[order] for name, column in get.items()}, step[order]
     z, std = _measured(path, get, mapping, scenario)
     if mapping.conventions.get("uplink", False):
@@ -212,6 +232,7 @@ def detections(
         z[:, 1] -= truth.heading[step]
     if mapping.conventions.get("aod_frame") == "world":
         z[:, 3] -= np.deg2rad(scenario.base_station.yaw_deg)
+    _possible(path, z, std, order)
     missing = np.isnan(std)
     widths = np.array([w if w else d for w, d in zip(WIDTHS, _widths(z, scenario), strict=True)])
     wide = WIDE * widths / np.sqrt(2 * np.pi)
@@ -233,18 +254,86 @@ def detections(
     )  # fmt: skip
 
 
-def _steps(path, get: dict[str, np.ndarray], scenario: Scenario) -> np.ndarray:
+# (largest magnitude, largest standard deviation) of every quantity in SI units, and what to call it.
+POSSIBLE = (
+    (1e6 / SPEED_OF_LIGHT, 1e6 / SPEED_OF_LIGHT, "delay of more than 1000 km"),
+    (4 * np.pi, 2 * np.pi, "azimuth beyond two turns: degrees taken for radians?"),
+    (np.pi / 2 + 1e-6, np.pi, "elevation beyond 90°: degrees taken for radians, or counted from the zenith?"),
+    (4 * np.pi, 2 * np.pi, "azimuth beyond two turns: degrees taken for radians?"),
+    (np.pi / 2 + 1e-6, np.pi, "elevation beyond 90°: degrees taken for radians, or counted from the zenith?"),
+    (1e5, 1e5, "radial velocity of more than 100 km/s"),
+)  # fmt: skip
+
+
+def _possible(path, z: np.ndarray, std: np.ndarray, row: np.ndarray) -> None:
+    """Refuse numbers that cannot be, with row (of the data, from 1) and column."""
+    for i, (most, widest, what) in enumerate(POSSIBLE):
+        bad = np.abs(z[:, i]) > most
+        if bad.any():
+            n = int(np.argmax(bad))
+            raise DatasetError(f"{path}: {QUANTITIES[i]} = {z[n, i]:g} (SI) in data row {row[n] + 1} is an {what}")
+        wild = ~np.isnan(std[:, i]) & ~((std[:, i] > 1e-15) & (std[:, i] < widest))
+        if wild.any():
+            n = int(np.argmax(wild))
+            raise DatasetError(
+                f"{path}: standard deviation {std[n, i]:g} (SI) of {QUANTITIES[i]} in data row {row[n] + 1} cannot be; "
+                "check its unit"
+            )
+
+
+OFF_TIME = 0.25  # of a period: a detection farther from every step belongs to none
+
+
+def _steps(path, get: dict[str, np.ndarray], scenario: Scenario, truth: Track | None) -> np.ndarray:
+    """Step of every row: as given, or by its time from the track's first step, or from the first detection."""
     if "step" in get:
         step = get["step"]
         if np.any(step != np.round(step)) or np.any(step < 0):
             raise DatasetError(f"{path}: the step column holds numbers that are not whole or below 0")
         return step.astype(int)
-    time = get["time"]
-    return (
-        np.round((time - time.min(initial=np.inf)) / scenario.track.period).astype(int)
-        if len(time)
-        else np.zeros(0, int)
-    )
+    time, period = get["time"], scenario.track.period
+    first = float(truth.time[0]) if truth is not None else float(time.min(initial=np.inf))
+    exact = (time - first) / period
+    step = np.round(exact)
+    off = np.abs(exact - step) > OFF_TIME
+    if np.any(np.abs(exact) > 1e7):
+        raise DatasetError(
+            f"{path}: times span {np.ptp(time):g} s, more than 1e7 periods of {period:g} s; check the unit"
+        )
+    if off.any():
+        row = int(np.argmax(off))
+        raise DatasetError(
+            f"{path}: data row {row + 1} at {time[row]:g} s lies between two steps of {period:g} s that begin at "
+            f"{first:g} s; give --set track.period=… as in the data, or a step column"
+        )
+    return step.astype(int)
+
+
+def period_of(path: str | Path, mapping: Mapping) -> float | None:
+    """The period that the time stamps of a table show; None without time stamps or with a single one.
+
+    Raises
+    ------
+    DatasetError
+        If the stamps are no multiples of their smallest difference (to a quarter of it).
+    """
+    if "step" in mapping.columns or "time" not in mapping.columns:
+        return None
+    time = np.unique(read_table(path, [mapping.columns["time"]])[mapping.columns["time"]])
+    gaps = np.diff(time)
+    gaps = gaps[gaps > 1e-3 * np.median(gaps)] if len(gaps) else gaps
+    if not len(gaps):
+        return None
+    base = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    ratio = gaps / base
+    if np.any(np.abs(ratio - np.round(ratio)) > OFF_TIME):
+        at = int(np.argmax(np.abs(ratio - np.round(ratio))))
+        raise DatasetError(
+            f"{path}: time stamps are irregular ({gaps[at]:g} s apart where others are {base:g} s); the filters need a "
+            "constant period: resample, or give a step column"
+        )
+    whole = np.round(ratio)
+    return float(gaps.sum() / whole.sum())
 
 
 def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:
@@ -295,7 +384,7 @@ def _turn(name: str, i: int, z: np.ndarray, mapping: Mapping) -> None:
 def _snr(get: dict[str, np.ndarray], mapping: Mapping) -> np.ndarray:
     """(N,) linear SNR, one where there is neither SNR nor power."""
     rows = len(next(iter(get.values())))
-    for name, floor in (("snr", 0.0), ("power", mapping.noise_floor_db)):
+    for name, floor in (("snr", 0.0), ("power", mapping.noise_floor_db or 0.0)):
         if name in get:
             value = get[name] - mapping.offsets.get(name, 0.0)
             decibel = value if mapping.units.get(name) == "dB" else 10 * np.log10(np.maximum(value, 1e-300))

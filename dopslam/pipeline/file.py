@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
-from dopslam.errors import DatasetError
+from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
@@ -148,8 +150,17 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
     dataset.write_record(path, _group("bound", "Doppler" if doppler else "no Doppler"), bounds)
 
 
-def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
-    """Summary of every filter variant a dataset holds, and the evaluations behind it."""
+def bound_name(doppler: bool) -> str:
+    """What a bound is called in messages."""
+    return "bound" if doppler else "bound, no Doppler"
+
+
+def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> tuple[dict, dict[str, Evaluation]]:
+    """Summary of every filter variant a dataset holds, and the evaluations behind it.
+
+    With ``failed`` (name → why) a variant that cannot be judged is added to it, and the others are; the summary holds
+    it.
+    """
     scenario, seed = scenario_of(path, settings)
     track, landmarks, paths, _ = read_truth(path)
     have = dataset.groups(path)
@@ -158,12 +169,23 @@ def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
         raise DatasetError(f"{path}: holds no filter history; run 'dopslam slam {path}' first")
     evaluations = {}
     for name, history in found.items():
-        group = _group("bound", "Doppler" if VARIANTS[name][1] else "no Doppler")
+        doppler = VARIANTS[name][1]
+        group = _group("bound", "Doppler" if doppler else "no Doppler")
         if group not in have:
-            raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}' first")
+            if failed is not None and bound_name(doppler) in failed:
+                continue
+            option = "" if doppler else " --doppler-std none"
+            raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}{option}' first")
         bounds = dataset.read_record(path, group, Bound)
         order = pipeline.largest_order(VARIANTS[name][0], landmarks)
-        evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
+        try:
+            evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
+        except (DopslamError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            if failed is None:
+                raise
+            failed[f"evaluate {name}"] = str(error)
+    if not evaluations:
+        raise DatasetError(f"{path}: no filter's history could be judged: {failed}")
     radius = scenario.evaluation.found_radius
     variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
     main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
@@ -173,6 +195,7 @@ def evaluate(path: Path, settings=()) -> tuple[dict, dict[str, Evaluation]]:
         **variants[main],
         "detections": _detection_figures(scenario, track, paths, read_detections(path)),
         "variants": variants,
+        **({"failed": dict(failed)} if failed else {}),
     }  # fmt: skip
     return summary, evaluations
 

@@ -22,7 +22,7 @@ def run_table(summary: dict) -> Table:
     table.add_column("")
     for name in variants:
         table.add_column(name.replace(", ", "\n"), justify="right")
-    for label, text in _ROWS:
+    for label, text in _shown(variants):
         table.add_row(label, *(text(v) for v in variants.values()))
     table.caption = (
         "RMSE: root mean square over the steps; in brackets its ratio to the bound's (PEB, HEB, CEB).\n"
@@ -36,7 +36,12 @@ def run_table(summary: dict) -> Table:
 def cells(summary: dict) -> list[list[str]]:
     """The same table as rows of text, the first row holding the filters' names."""
     variants = summary["variants"]
-    return [["", *variants], *([label, *(text(v) for v in variants.values())] for label, text in _ROWS)]
+    return [["", *variants], *([label, *(text(v) for v in variants.values())] for label, text in _shown(variants))]
+
+
+def _shown(variants: dict) -> list:
+    """The rows that say something: without a lost filter none is about it."""
+    return [row for row in _ROWS if row[0] != "diverged" or any(v.get("diverged") for v in variants.values())]
 
 
 def _with_ratio(key: str, part: str):
@@ -44,6 +49,7 @@ def _with_ratio(key: str, part: str):
 
 
 _ROWS = (
+    ("diverged", lambda v: "YES" if v.get("diverged") else ""),
     ("position RMSE, m", _with_ratio("position_rmse_m", "position")),
     ("heading RMSE, °", _with_ratio("heading_rmse_deg", "heading")),
     ("clock bias RMSE, m", _with_ratio("clock_bias_rmse_m", "clock")),
@@ -58,7 +64,7 @@ _ROWS = (
 def as_text(table: Table) -> str:
     """The table as plain text."""
     buffer = io.StringIO()
-    Console(file=buffer, width=100, color_system=None).print(table)
+    Console(file=buffer, width=100, color_system=None, markup=False).print(table)
     return buffer.getvalue()
 
 

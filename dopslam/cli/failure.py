@@ -1,0 +1,19 @@
+"""What went wrong in one sentence, whatever it was."""
+
+from __future__ import annotations
+
+
+def sentence(error: Exception) -> str:
+    """What a person is told of an error: what, where, and the remedy."""
+    from dopslam.errors import DopslamError
+    from estimation.errors import EstimationError
+
+    if isinstance(error, DopslamError | EstimationError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "out of memory; ask for less at once (fewer positions, pilots, elements or workers)"
+    if type(error).__name__ in ("TerminatedWorkerError", "BrokenProcessPool"):
+        return "a worker process was killed, probably for want of memory; use fewer workers with --jobs"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'a file'}: {error.strerror}; name another place or make room"
+    return f"{type(error).__name__}: {error}: a fault of dopslam; DOPSLAM_DEBUG=1 shows where, please report it"
