@@ -105,8 +105,16 @@ def test_bad_input_is_one_line_and_exit_code_2(call, tokens, words, tmp_path, mo
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_run_leaves_no_folder(call, tmp_path, monkeypatch):
+def test_a_run_without_data_leaves_no_folder(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(stages, "slam", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
+    monkeypatch.setattr(stages, "simulate", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_keeps_its_dataset_when_the_filters_fail(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stages, "slam", lambda *_: (_ for _ in ()).throw(DatasetError("broken")))
+    assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 1
+    assert (tmp_path / "runs" / "latest" / "dataset.h5").exists()
+    assert "broken" in (tmp_path / "runs" / "latest" / "failed.json").read_text()
