@@ -100,9 +100,6 @@ def read_sweep(path: str | Path) -> Sweep:
             raise ConfigError(f"{path}: {key} = {value!r} must be a {KEYS[key].__name__}")
     if "scenario" not in tree or not tree.get("vary"):
         raise ConfigError(f"{path}: needs scenario, and a table [vary] with at least one key and its values")
-    for key, own in (("filter.density", "filter"), ("source.kind", "source")):
-        if key in tree["vary"]:
-            raise ConfigError(f"{path}: vary.{key!r} would not choose what runs; write a sweep for each {own} = …")
     for key, values in tree["vary"].items():
         if not isinstance(values, list) or not values:
             raise ConfigError(
