@@ -1,0 +1,119 @@
+"""From the scans of a run to where it starts, with no prior: what a filter or a smoother is given instead of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
+from dopslam.models.scans import Scans
+from dopslam.slam.snapshot.chain import Chain, Walk, before, chain
+from dopslam.slam.snapshot.locate import Search, find_modes
+from dopslam.slam.snapshot.rays import Rays
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a run starts, found from its scans.
+
+    Attributes
+    ----------
+    mean, covariance : (n,), (n, n) arrays
+        State one period before the first scan. The mean is the whole chain's, the covariance that of one scan alone:
+        who starts from it reads the same scans again.
+    best : int
+        Scan whose mode is the surest.
+    chain : Chain
+    """
+
+    mean: Array
+    covariance: Array
+    best: int
+    chain: Chain
+
+
+def rays_of(scans: Scans, step: int, anchors: Array, height: float, planar: bool = False, doppler: bool = True) -> Rays:
+    """One scan as rays; `anchors` (3,) for one base station, (N, 3) row by row for several."""
+    rows = scans.rows(step)
+    anchor = np.broadcast_to(anchors, (len(scans.z), 3))[rows]
+    return Rays(scans.z[rows], scans.covariance[rows], np.array(anchor), height, planar, doppler)
+
+
+def walk_of(motion: CoordinatedTurn, mean: Array, covariance: Array) -> Walk:
+    """Poses' walk under a motion model; states beyond the pose are drawn anew each step from their prior."""
+    n = motion.dimension
+    extra = np.asarray(mean, float)[4:]
+    spread = np.asarray(covariance, float)[4:, 4:]
+
+    def step(pose: Array) -> tuple[Array, Array]:
+        state = np.concatenate([pose, np.broadcast_to(extra, (len(pose), n - 4))], axis=1)
+        return propagate(state, motion)[:, :4], transition_jacobian(state, motion)[:, :4, :4]
+
+    noise = np.array(motion.process_noise[:4, :4])
+    if n > 4:
+        # How far an unknown speed and turn rate carry does not depend on where: a heading of zero and of a right angle
+        # together bound it in both directions.
+        for heading in (0.0, 0.5 * np.pi):
+            state = np.concatenate([[0.0, 0.0, heading, 0.0], extra])
+            by_extra = transition_jacobian(state, motion)[:4, 4:]
+            noise = noise + by_extra @ spread @ by_extra.T
+    return Walk(step, noise)
+
+
+def start(
+    scans: Scans,
+    motion: CoordinatedTurn,
+    anchors: Array,
+    height: float,
+    *,
+    prior: tuple[Array, Array] | None = None,
+    planar: bool = False,
+    doppler: bool = True,
+    search: Search | None = None,
+) -> Start:
+    """Where the run starts.
+
+    Parameters
+    ----------
+    scans : Scans
+    motion : CoordinatedTurn
+    anchors : (3,) array, or (N, 3) with the base station of every detection
+    height : float
+    prior : mean (n,) and covariance (n, n), or None
+        Of speed and turn rate only, where the motion model has them in its state; the pose is found.
+    planar : bool
+        Elevations were not measured.
+    search : Search or None
+
+    Raises
+    ------
+    FilterError
+        If no scan tells where the receiver is.
+    """
+    search = search or Search()
+    n = motion.dimension
+    mean, covariance = prior if prior is not None else (np.zeros(n), 100.0 * np.eye(n))
+    walk = walk_of(motion, mean, covariance)
+    found = [find_modes(rays_of(scans, k, anchors, height, planar, doppler), None, search) for k in range(scans.steps)]
+    joined = chain(found, passing(scans, search), walk)
+    first, _ = before(joined.mean[0], joined.covariance[0], walk)
+    used = np.flatnonzero(joined.chosen >= 0)
+    alone = found[used[0]].covariance[joined.chosen[used[0]]]
+    for _ in range(int(used[0]) + 1):
+        alone = before(first, alone, walk)[1]
+    whole_mean, whole = np.array(mean, float), np.array(covariance, float)
+    whole_mean[:4] = first
+    whole[:4, :], whole[:, :4] = 0.0, 0.0
+    whole[:4, :4] = alone
+    best = int(used[np.argmax(joined.margin[used])])
+    return Start(whole_mean, whole, best, joined)
+
+
+def passing(scans: Scans, search: Search) -> Array:
+    """(K,) log likelihood of every scan if all its paths are clutter."""
+    beliefs = search.beliefs
+    return np.diff(scans.offsets) * np.log(beliefs.clutter) + np.log1p(-beliefs.sight)
