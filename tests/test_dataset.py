@@ -213,3 +213,17 @@ def test_non_finite_columns_are_refused():
         replace(make_paths(), tau=np.array([1.0, np.nan, 2.0]))
     with pytest.raises(DopslamError, match="offsets"):
         replace(make_paths(), offsets=np.array([0, 5, 2, 3]))
+
+
+@pytest.mark.parametrize("external", ["link", "storage"])
+def test_a_file_that_reads_from_other_files_is_refused(tmp_path, external):
+    path = tmp_path / "d.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["schema"], file.attrs["schema_version"] = dataset.SCHEMA, dataset.READ[-1]
+        group = file.create_group("track")
+        if external == "link":
+            group["time"] = h5py.ExternalLink("other.h5", "/time")
+        else:
+            group.create_dataset("time", shape=(4,), dtype="f8", external=[(str(tmp_path / "raw"), 0, 32)])
+    with pytest.raises(DatasetError, match="copy its content"):
+        dataset.read_record(path, "track", Track)

@@ -58,3 +58,10 @@ def test_the_numbers_do_not_depend_on_the_workers(tmp_path):
 def test_a_wrong_sweep_is_refused_before_anything_runs(tmp_path, old, new, message):
     with pytest.raises(ConfigError, match=message):
         sweep.read_sweep(write(tmp_path, TEXT.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize(("key", "other"), [("filter.density", "bp"), ("source.kind", "traced")])
+def test_a_sweep_never_labels_rows_with_what_did_not_run(tmp_path, key, other):
+    text = TEXT.replace('"filter.density" = ["joint"]', f'"{key}" = ["{other}"]')
+    with pytest.raises(ConfigError, match="one sweep for each"):
+        sweep.read_sweep(write(tmp_path, text))

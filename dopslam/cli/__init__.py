@@ -62,9 +62,9 @@ def main(tokens: list[str] | None = None) -> None:
     except CycloptsError as error:
         _fail(str(error))
     except KeyboardInterrupt:
-        _fail("interrupted; what was finished before is kept", 130)
+        _fail("interrupted", 130)
     except _Terminated:
-        _fail("terminated; what was finished before is kept", 143)
+        _fail("terminated", 143)
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
@@ -101,6 +101,8 @@ def _tolerate_narrow_terminals() -> None:
 
 
 def _fail(message: str, code: int = 2) -> None:
+    with contextlib.suppress(ValueError):  # a second one finds the leaving under way
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _end_workers()
     print("dopslam: " + " ".join(message.split()), file=sys.stderr)
     sys.exit(code)

@@ -351,7 +351,7 @@ _TAGS = {"cylinder", "planar", "custom", "motion", "line", "circle", "drive"}  #
 def _sentence(error: ValidationError) -> str:
     first = error.errors()[0]
     loc = tuple(first["loc"])
-    key = ".".join(str(part) for part in loc if part not in _TAGS)
+    key = ".".join(str(part) for part in loc if part not in _TAGS or part == loc[-1])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         allowed = _fields_at(loc)

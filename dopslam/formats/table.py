@@ -271,7 +271,9 @@ def _possible(path, z: np.ndarray, std: np.ndarray, row: np.ndarray) -> None:
         bad = np.abs(z[:, i]) > most
         if bad.any():
             n = int(np.argmax(bad))
-            raise DatasetError(f"{path}: {QUANTITIES[i]} = {z[n, i]:g} (SI) in data row {row[n] + 1} is an {what}")
+            raise DatasetError(
+                f"{path}: {QUANTITIES[i]} = {z[n, i]:g} (SI) in data row {row[n] + 1} is impossible: {what}"
+            )
         wild = ~np.isnan(std[:, i]) & ~((std[:, i] > 1e-15) & (std[:, i] < widest))
         if wild.any():
             n = int(np.argmax(wild))
@@ -292,6 +294,13 @@ def _steps(path, get: dict[str, np.ndarray], scenario: Scenario, truth: Track | 
             raise DatasetError(f"{path}: the step column holds numbers that are not whole or below 0")
         return step.astype(int)
     time, period = get["time"], scenario.track.period
+    if truth is not None and truth.steps > 1:
+        gaps = np.diff(truth.time)
+        if np.any(np.abs(gaps - period) > 0.02 * period):
+            raise DatasetError(
+                f"{path}: the track's steps are {gaps.min():g} to {gaps.max():g} s apart where the detections' period is "
+                f"{period:g} s; give a track at the times of the detections, or --set track.period=…"
+            )
     first = float(truth.time[0]) if truth is not None else float(time.min(initial=np.inf))
     exact = (time - first) / period
     step = np.round(exact)

@@ -101,11 +101,24 @@ def _reading(path: Path) -> Iterator[h5py.File]:
     try:
         with h5py.File(path, "r") as file:
             _check_schema(path, file)
+            _check_self_contained(path, file)
             yield file
     except DopslamError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: not a readable dataset, truncated or damaged ({error})") from error
+
+
+def _check_self_contained(path: Path, file: h5py.File) -> None:
+    """Refuse what would be read from other files: their content is nobody's data here, and may be anybody's secret."""
+    for place in (file, *(file[name] for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink))):
+        for name in place if isinstance(place, h5py.Group) else ():
+            link = place.get(name, getlink=True)
+            where = f"{place.name}/{name}".replace("//", "/")
+            if isinstance(link, h5py.ExternalLink):
+                raise DatasetError(f"{path}: {where} is a link into {link.filename!r}; copy its content into this file")
+            if isinstance(link, h5py.HardLink) and isinstance(place[name], h5py.Dataset) and place[name].external:
+                raise DatasetError(f"{path}: {where} is stored in another file; copy its content into this one")
 
 
 def _check_schema(path: Path, file: h5py.File) -> None:

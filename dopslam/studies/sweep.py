@@ -112,8 +112,14 @@ def read_sweep(path: str | Path) -> Sweep:
     allowed = {"model": studies.FILTERS, "traced": ("joint", "marginal")}
     if sweep.source not in allowed or sweep.filter not in allowed[sweep.source]:
         raise ConfigError(f"{path}: source {sweep.source!r} with filter {sweep.filter!r}; possible are {allowed}")
-    if sweep.runs < 1 or sweep.seed < 0:
+    if sweep.runs < 1 or not 0 <= sweep.seed < 2**63:
         raise ConfigError(f"{path}: runs = {sweep.runs}, seed = {sweep.seed}; give at least 1 run and a seed from 0")
+    for key, runs, own in (("filter.density", sweep.filter, "filter"), ("source.kind", sweep.source, "source")):
+        for value in sweep.vary.get(key, []):
+            if value != runs:
+                raise ConfigError(
+                    f"{path}: vary.{key!r} = {value!r}, but what runs is {own} = {runs!r}; write one sweep for each {own}"
+                )
     for point in sweep.points:
         sweep.at(point)
     return sweep
