@@ -54,9 +54,9 @@ import numpy as np
 
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
+from dopslam.formats.possible import QUANTITIES, refuse_impossible
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 
-QUANTITIES = ("delay", "aoa_azimuth", "aoa_elevation", "aod_azimuth", "aod_elevation", "radial_velocity")
 WIDTHS = (None, 2 * np.pi, np.pi, 2 * np.pi, np.pi, None)  # of what is searched; None: from the scenario or the data
 UNITS = {
     "delay": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1 / SPEED_OF_LIGHT},
@@ -232,7 +232,7 @@ def detections(
         z[:, 1] -= truth.heading[step]
     if mapping.conventions.get("aod_frame") == "world":
         z[:, 3] -= np.deg2rad(scenario.base_station.yaw_deg)
-    _possible(path, z, std, order)
+    refuse_impossible(path, z, std, order)
     missing = np.isnan(std)
     widths = np.array([w if w else d for w, d in zip(WIDTHS, _widths(z, scenario), strict=True)])
     wide = WIDE * widths / np.sqrt(2 * np.pi)
@@ -252,35 +252,6 @@ def detections(
         false_alarm_rate=float(scenario.source.model.clutter_rate),
         search_volume=float(np.prod(volume)),
     )  # fmt: skip
-
-
-# (largest magnitude, largest standard deviation) of every quantity in SI units, and what to call it.
-POSSIBLE = (
-    (1e6 / SPEED_OF_LIGHT, 1e6 / SPEED_OF_LIGHT, "delay of more than 1000 km"),
-    (4 * np.pi, 2 * np.pi, "azimuth beyond two turns: degrees taken for radians?"),
-    (np.pi / 2 + 1e-6, np.pi, "elevation beyond 90°: degrees taken for radians, or counted from the zenith?"),
-    (4 * np.pi, 2 * np.pi, "azimuth beyond two turns: degrees taken for radians?"),
-    (np.pi / 2 + 1e-6, np.pi, "elevation beyond 90°: degrees taken for radians, or counted from the zenith?"),
-    (1e5, 1e5, "radial velocity of more than 100 km/s"),
-)  # fmt: skip
-
-
-def _possible(path, z: np.ndarray, std: np.ndarray, row: np.ndarray) -> None:
-    """Refuse numbers that cannot be, with row (of the data, from 1) and column."""
-    for i, (most, widest, what) in enumerate(POSSIBLE):
-        bad = np.abs(z[:, i]) > most
-        if bad.any():
-            n = int(np.argmax(bad))
-            raise DatasetError(
-                f"{path}: {QUANTITIES[i]} = {z[n, i]:g} (SI) in data row {row[n] + 1} is impossible: {what}"
-            )
-        wild = ~np.isnan(std[:, i]) & ~((std[:, i] > 1e-15) & (std[:, i] < widest))
-        if wild.any():
-            n = int(np.argmax(wild))
-            raise DatasetError(
-                f"{path}: standard deviation {std[n, i]:g} (SI) of {QUANTITIES[i]} in data row {row[n] + 1} cannot be; "
-                "check its unit"
-            )
 
 
 OFF_TIME = 0.25  # of a period: a detection farther from every step belongs to none
