@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Callable, Iterator
 from typing import Annotated
 
@@ -76,9 +77,10 @@ def progress_display() -> Iterator[Progress]:
         yield report
 
 
-def leave_if_lost(summary: dict, console) -> bool:
-    """Whether the leading filter diverged; names every one that did."""
+def leave_if_lost(summary: dict, console) -> None:
+    """Name every filter that diverged; leave with 3 if the leading one did."""
     lost = [name for name, figures in summary["variants"].items() if figures.get("diverged")]
     if lost:
         console.print(f"diverged: {', '.join(lost)}; do not use these tracks (check start, motion and covariances)")
-    return summary["filter"] in lost
+    if summary["filter"] in lost:
+        sys.exit(3)

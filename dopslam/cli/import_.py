@@ -50,7 +50,8 @@ def import_(
     rule = foreign.read_mapping(mapping)
     kind = "traced" if foreign.knows_snr(rule) else "model"
     flags = overrides(settings)
-    shown = foreign.period_of(table, rule)
+    columns = foreign.read_table(table, list(rule.columns.values()))
+    shown = foreign.period_of(table, rule, columns)
     if shown is not None and not any(text.replace(" ", "").startswith("track.period=") for text in flags):
         flags = [*flags, f"track.period={shown!r}"]
     world = load(scenario, [f"source.kind={kind}", *flags])
@@ -62,7 +63,7 @@ def import_(
         )
         source = tracks.sampled(own, 0)
         truth, _ = source.part(0, int(source.lengths.sum()))
-    found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth)
+    found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth, columns)
     world = load(scenario, [f"source.kind={kind}", *flags, f"track.steps={max(found.steps, 1)}"])
     records = {"base_stations": build.base_stations(world), "detections": found}
     if truth is not None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from dopslam.config.types import Frozen
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -16,11 +18,7 @@ Probability = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[int, Field(ge=0)]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ExperimentConfig(_Frozen):
+class ExperimentConfig(Frozen):
     """What is drawn: amplitudes that fall with the path length, Fisher variances, Rician detection, false alarms."""
 
     amplitudes: Annotated[tuple[Positive, ...], Field(min_length=2)]  # normalized: line of sight, VAs, scatterers
@@ -51,7 +49,7 @@ class ExperimentConfig(_Frozen):
         return self
 
 
-class BeliefConfig(_Frozen):
+class BeliefConfig(Frozen):
     """What the belief-propagation filter assumes (paper B, Sections IV and VI-A).
 
     ``start``, ``engine``, ``backend``, ``speed_increment`` and ``skip`` belong to the synthetic experiment; on a scene's

@@ -9,31 +9,29 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from dopslam.config.types import Frozen
 
 Point = tuple[float, float]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MotionTracks(_Frozen):
+class MotionTracks(Frozen):
     """Every drive is one realization of the scenario's motion model, eq. (1)."""
 
     kind: Literal["motion"] = "motion"
 
 
-class LineTracks(_Frozen):
+class LineTracks(Frozen):
     """To and fro between two points, from a random place on the line in a random direction."""
 
     kind: Literal["line"]
     ends: tuple[Point, Point]  # m
 
 
-class CircleTracks(_Frozen):
+class CircleTracks(Frozen):
     """Around a center, from a random place in a random direction."""
 
     kind: Literal["circle"]
@@ -41,7 +39,7 @@ class CircleTracks(_Frozen):
     radius: Positive  # m
 
 
-class DriveTracks(_Frozen):
+class DriveTracks(Frozen):
     """Smooth random drives that never leave a polygon."""
 
     kind: Literal["drive"]
@@ -51,7 +49,7 @@ class DriveTracks(_Frozen):
     restlessness: Annotated[float, Field(ge=0)] = 0.2  # rad/s per √s, by which the turn rate walks
 
 
-class FileTracks(_Frozen):
+class FileTracks(Frozen):
     """Tracks of one's own: CSV with a header, columns time, x, y and optionally z, heading, vx, vy, vz, bias, drive."""
 
     kind: Literal["file"]
@@ -63,7 +61,7 @@ TracksConfig = Annotated[
 ]
 
 
-class DatasetConfig(_Frozen):
+class DatasetConfig(Frozen):
     """What ``dopslam dataset`` makes."""
 
     tracks: TracksConfig = MotionTracks()

@@ -142,13 +142,12 @@ def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
         if track is not None and scenario is not None:
             yield from _geometry(track, landmarks, paths, np.array(scenario.base_station.position))
     if detections is not None and len(detections.delay):
+        deviation = np.sqrt(np.abs(np.einsum("nii->ni", detections.covariance)))
         try:
-            scale = np.sqrt(np.einsum("nii->ni", detections.covariance))
-            np.linalg.cholesky(detections.covariance / scale[:, :, None] / scale[:, None, :])
+            np.linalg.cholesky(detections.covariance / deviation[:, :, None] / deviation[:, None, :])
         except (np.linalg.LinAlgError, FloatingPointError):
             yield "detections/covariance", "is not positive definite everywhere"
         # Off-diagonal entries are rounded in proportion to the deviations that make them, not to themselves.
-        deviation = np.sqrt(np.abs(np.einsum("nii->ni", detections.covariance)))
         skew = np.abs(detections.covariance - detections.covariance.swapaxes(1, 2))
         if np.any(skew > 1e-6 * deviation[:, :, None] * deviation[:, None, :]):
             yield "detections/covariance", "is not symmetric"

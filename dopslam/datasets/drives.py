@@ -18,6 +18,7 @@ from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, File
 from dopslam.config.scenario import Scenario, override
 from dopslam.datasets.parts import Part, scenario_of
 from dopslam.errors import DatasetError
+from dopslam.models.measurement import wrap
 from dopslam.models.motion import CoordinatedTurn, propagate
 from dopslam.problem import base_stations
 from dopslam.raytracing.traced import Traced, join
@@ -119,7 +120,7 @@ def _of_a_file(track: Track, scenario: Scenario, speed: float) -> dict:
             f"track file: the times of a drive are {gaps.min():g} to {gaps.max():g} s apart; the filters need a constant "
             "period: resample it"
         )
-    turned = (np.diff(track.heading) + np.pi) % (2 * np.pi) - np.pi
+    turned = wrap(np.diff(track.heading))
     rate = float(np.mean(turned)) / period
     model = CoordinatedTurn(period, np.eye(4), speed, rate)
     predicted = np.array([propagate(state, model) for state in track.state[:-1]])

@@ -18,6 +18,7 @@ from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, File
 from dopslam.config.scenario import Scenario
 from dopslam.datasets.polygon import clearance
 from dopslam.errors import ConfigError
+from dopslam.models.measurement import wrap
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Component
 from dopslam.records import Track
@@ -88,11 +89,10 @@ class Tracks:
             for name in ("time", "position", "heading", "velocity", "bias")
         }
         start = np.repeat([track.start for track in made], lengths, axis=0)[chosen]
+        numbers = np.array(drives) if self.ids is None else self.ids[drives.start : drives.stop]
         steps = Steps(
             index=np.arange(first, first + count),
-            drive=np.repeat(np.array(drives) if self.ids is None else self.ids[drives.start : drives.stop], lengths)[
-                chosen
-            ],
+            drive=np.repeat(numbers, lengths)[chosen],
             step=np.concatenate([np.arange(n) for n in lengths])[chosen],
             start=start,
         )
@@ -255,11 +255,6 @@ def arc(state: np.ndarray, speed: float, rate: np.ndarray, time: float) -> np.nd
     return np.column_stack(
         [state[0] + chord * np.cos(course), state[1] + chord * np.sin(course), wrap(state[2] + turned)]
     )
-
-
-def wrap(angle):
-    """Angle in [−π, π)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def track_file(scenario: Scenario) -> Path | None:

@@ -31,8 +31,8 @@ its columns mean::
     [std]                      # in the table's unit, where there is no …_std column
     delay = 0.3
 
-    [assumed]                  # what to put where a quantity is missing, in rad, s or m/s; with [std] it counts as
-    measured
+    [assumed]                  # what to put where a quantity is missing, in rad, s or m/s
+                               # (with [std] it counts as measured)
     aoa_elevation = 0.0
 
     noise_floor_db = -90.0     # with power: what is subtracted to get the SNR
@@ -129,7 +129,8 @@ def read_mapping(path: str | Path) -> Mapping:
         if not 0 < value < np.inf:
             raise DatasetError(f"{path}: std.{name} = {value!r}; give a positive number")
     floor = tree.get("noise_floor_db")
-    if (floor is not None and not (isinstance(floor, int | float) and np.isfinite(floor))) or isinstance(floor, bool):
+    number = isinstance(floor, int | float) and not isinstance(floor, bool)
+    if floor is not None and not (number and np.isfinite(floor)):
         raise DatasetError(f"{path}: noise_floor_db = {floor!r}; give a number in dB")
     columns = tree.get("columns", {})
     if "power" in columns and floor is None:
@@ -140,7 +141,7 @@ def read_mapping(path: str | Path) -> Mapping:
         raise DatasetError(f"{path}: [columns] needs time or step, and at least one of {', '.join(QUANTITIES)}")
     return Mapping(
         columns, *(tree.get(s, {}) for s in ("units", "conventions", "offsets", "std", "assumed")),
-        noise_floor_db=tree.get("noise_floor_db"),
+        noise_floor_db=floor,
     )  # fmt: skip
 
 
@@ -199,7 +200,12 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
 
 
 def detections(
-    path: str | Path, mapping: Mapping, scenario: Scenario, steps: int | None = None, truth: Track | None = None
+    path: str | Path,
+    mapping: Mapping,
+    scenario: Scenario,
+    steps: int | None = None,
+    truth: Track | None = None,
+    table: dict[str, np.ndarray] | None = None,
 ) -> DetectionSeries:
     """A foreign table as detections.
 
@@ -209,9 +215,10 @@ def detections(
     mapping : what its columns mean
     scenario : its period turns times into steps; carrier and BS yaw are used where needed
     steps : number of snapshots; default up to the last detection
-    truth : true track, needed only for AOAs in the world frame
+    truth : true track; its times count the steps, and AOAs in the world frame need its headings
+    table : the file's columns where they have been read already
     """
-    table = read_table(path, list(mapping.columns.values()))
+    table = read_table(path, list(mapping.columns.values())) if table is None else table
     get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
     step = _steps(path, get, scenario, truth)
     count = steps if steps is not None else int(step.max(initial=-1)) + 1
@@ -289,7 +296,7 @@ def _steps(path, get: dict[str, np.ndarray], scenario: Scenario, truth: Track | 
     return step.astype(int)
 
 
-def period_of(path: str | Path, mapping: Mapping) -> float | None:
+def period_of(path: str | Path, mapping: Mapping, table: dict[str, np.ndarray]) -> float | None:
     """The period that the time stamps of a table show; None without time stamps or with a single one.
 
     Raises
@@ -299,7 +306,7 @@ def period_of(path: str | Path, mapping: Mapping) -> float | None:
     """
     if "step" in mapping.columns or "time" not in mapping.columns:
         return None
-    time = np.unique(read_table(path, [mapping.columns["time"]])[mapping.columns["time"]])
+    time = np.unique(table[mapping.columns["time"]])
     gaps = np.diff(time)
     gaps = gaps[gaps > 1e-3 * np.median(gaps)] if len(gaps) else gaps
     if not len(gaps):

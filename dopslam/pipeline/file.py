@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.errors import DatasetError, DopslamError
@@ -180,7 +178,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         order = pipeline.largest_order(VARIANTS[name][0], landmarks)
         try:
             evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
-        except (DopslamError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        except (DopslamError, ValueError, ArithmeticError) as error:
             if failed is None:
                 raise
             failed[f"evaluate {name}"] = str(error)
@@ -210,11 +208,15 @@ def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evalu
     """Write ``summary.json``, ``table.txt``, ``report.html`` and the figures of an evaluated dataset into a folder, made
     if missing."""
     Path(target).mkdir(parents=True, exist_ok=True)
-    track, landmarks, paths, plan = read_truth(path)
+    scenario, _ = scenario_of(path)
+    truth, found = read_truth(path), histories(path)
+    track, landmarks, paths, plan = truth
+    mesh = dataset.read_record(path, "mesh", Mesh).triangles if "mesh" in dataset.groups(path) else None
+    shown = replay.replay(*truth, found, mesh, scenario.receiver.height, scenario.filter.report_existence)
     main = summary["filter"]
     with figures.house_style():
         drawn = {
-            "plan": figures.plan_view(plan, track, landmarks, paths, histories(path)[main], track.steps // 8),
+            "plan": figures.plan_view(plan, track, landmarks, paths, found[main], track.steps // 8),
             "errors": figures.errors_over_time(evaluations[main]),
             "gospa": figures.gospa_over_time(evaluations[main]),
         }
@@ -222,18 +224,9 @@ def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evalu
             drawn["detections"] = figures.detections_over_paths(track, landmarks, paths, read_detections(path))
         figures.save_all(target, drawn)
         text = page.report_page(
-            summary | {"versions": folder.versions()}, tables.cells(summary), drawn, replay_of(path),
-            dataset.read_root(path)[0],
+            summary | {"versions": folder.versions()}, tables.cells(summary), drawn, shown,
+            scenario.to_toml(),
         )  # fmt: skip
     folder.write_text(Path(target) / "report.html", text)
     (Path(target) / "table.txt").write_text(tables.as_text(tables.run_table(summary)), encoding="utf-8")
     folder.write_json(Path(target) / "summary.json", summary | {"versions": folder.versions()})
-
-
-def replay_of(path: Path) -> dict:
-    """What the replay of a dataset shows, see :func:`dopslam.report.replay.replay`."""
-    scenario, _ = scenario_of(path)
-    mesh = dataset.read_record(path, "mesh", Mesh).triangles if "mesh" in dataset.groups(path) else None
-    return replay.replay(
-        *read_truth(path), histories(path), mesh, scenario.receiver.height, scenario.filter.report_existence
-    )

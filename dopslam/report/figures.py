@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from dopslam.evaluate.walls import walls
+from dopslam.models.measurement import wrap
 from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
 
 TRUE, ESTIMATE, BOUND, VA, SP, RAY, WALL = "#000000", "#0072B2", "#D55E00", "#E69F00", "#009E73", "#9aa5b1", "#6b7280"
@@ -176,7 +177,7 @@ def detections_over_paths(track: Track, landmarks: Landmarks, paths: Paths, dete
     step_of_path = np.repeat(np.arange(paths.steps), np.diff(paths.offsets))
     step_of_detection = np.repeat(np.arange(detections.steps), np.diff(detections.offsets))
     delay = paths.tau * SPEED_OF_LIGHT + track.bias[step_of_path]
-    azimuth = np.degrees(_wrap(paths.phi_r - track.heading[step_of_path]))
+    azimuth = np.degrees(wrap(paths.phi_r - track.heading[step_of_path]))
     kinds = landmarks.kind[paths.landmark]
     for kind, color, name in (
         (Kind.BS, TRUE, "line of sight"),
@@ -196,10 +197,6 @@ def detections_over_paths(track: Track, landmarks: Landmarks, paths: Paths, dete
     lower.set(ylabel="arrival azimuth [°]", xlabel="step")
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def save_all(folder: Path, figures: dict[str, Figure]) -> list[Path]:
