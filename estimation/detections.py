@@ -11,7 +11,7 @@ from .errors import EstimationError
 from .estimators.detect import detection_probability
 from .signal.directions import Float, unit_vectors
 from .signal.directions import tangents as tangents_of
-from .signal.paths import PathTable
+from .signal.paths import PARAMETERS, PathTable
 
 
 class Flag(IntFlag):
@@ -62,6 +62,50 @@ class Detections:
     false_alarm_rate: float
     flags: np.typing.NDArray[np.uint8]
     active: np.typing.NDArray[np.bool_]
+
+    @staticmethod
+    def of(
+        paths: PathTable,
+        covariance: Float,
+        *,
+        snr: Float | float = 1.0,
+        noise_variance: float = 1.0,
+        threshold: float = 1.0,
+        false_alarm_rate: float = 0.01,
+        flags=None,
+        active=None,
+    ) -> Detections:
+        """Detections from a path table and covariances (P, 6, 6): what an estimator of one's own returns.
+
+        Raises
+        ------
+        EstimationError
+            if the covariances do not fit the paths.
+        """
+        count = len(paths)
+        covariance = np.asarray(covariance, float)
+        if covariance.shape != (count, 6, 6):
+            raise EstimationError(
+                f"Detections: covariance must be of shape ({count}, 6, 6) over {', '.join(PARAMETERS)}, "
+                f"got {covariance.shape}"
+            )
+        scale = np.ones((count, 6))
+        scale[:, 1], scale[:, 3] = np.cos(paths.aoa[:, 1]), np.cos(paths.aod[:, 1])
+        return Detections(
+            paths.delay,
+            paths.aoa,
+            paths.aod,
+            paths.radial_velocity,
+            paths.gain,
+            covariance,
+            covariance * scale[:, :, None] * scale[:, None],
+            np.broadcast_to(np.asarray(snr, float), (count,)).copy(),
+            float(noise_variance),
+            float(threshold),
+            float(false_alarm_rate),
+            np.zeros(count, np.uint8) if flags is None else np.asarray(flags, np.uint8),
+            np.ones(6, bool) if active is None else np.asarray(active, bool),
+        )
 
     def __len__(self) -> int:
         return len(self.delay)

@@ -14,10 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from .detections import Detections
+from .estimators import find
 from .estimators.detect import detection_probability
-from .estimators.esprit import Esprit
 from .estimators.nomp import Nomp
-from .estimators.sage import Sage
 from .evaluate import Match, associate, detection_by_band, nees_by_band, summarize
 from .resolution import interval
 from .scenarios import FRONT, Draw, at_snr, draw_paths, hybrid_link, reference_link, swept_link
@@ -29,7 +28,6 @@ from .signal.synthesis import synthesize
 from .signal.waveform import comb
 
 BANDS = (10, 14, 17, 20, 25, 35, 50, 90)
-ESTIMATORS = {"nomp": Nomp, "sage": Sage, "esprit": Esprit}
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def accuracy(name: str, snapshots: int, snrs_db=(-20, -10, 0, 10, 20), seed: int
     per SNR.
     """
     model = reference_link()
-    estimator = ESTIMATORS[name](model, arrival_view=FRONT, departure_view=FRONT)
+    estimator = find(name)(model, arrival_view=FRONT, departure_view=FRONT)
     series = {}
     for number, level in enumerate(snrs_db):
         cases = [lambda rng, v=10 ** (-level / 10): (draw_paths(model, rng), v)] * snapshots

@@ -26,12 +26,12 @@ STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguit
 
 def main() -> None:
     """Run the chosen studies."""
+    from estimation.estimators import ESTIMATORS
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, metavar="OUT", help="where the numbers go")
     parser.add_argument("--study", nargs="+", default=["accuracy"], choices=[*STUDIES, "all"])
-    parser.add_argument(
-        "--estimator", nargs="+", default=["nomp", "sage", "esprit"], choices=["nomp", "sage", "esprit"]
-    )
+    parser.add_argument("--estimator", nargs="+", default=list(ESTIMATORS), help="names, or module:Class of your own")
     parser.add_argument("--snapshots", type=int, default=10, help="bursts per point (100 for the published figures)")
     parser.add_argument(
         "--snr",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from dopslam.config.arrays import LARGEST_ARRAY, ArrayConfig, elements
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
@@ -150,11 +150,23 @@ class Source(Frozen):
 class Estimator(Frozen):
     """Channel estimator of a snapshot."""
 
-    kind: Literal["nomp", "sage", "esprit"] = "nomp"
+    kind: str = "nomp"  # a name of estimation.estimators.ESTIMATORS, or an own "module:Class" or "file.py:Class"
+    options: dict[str, Any] = Field(default={})  # further options of this kind, by the names of its signature
     false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01  # expected false paths per snapshot
     max_radial_velocity: Positive = 25.0  # m/s, searched on both sides of zero
     max_paths: Count = 30
     dense_multipath: bool = False  # estimate the dense part's delay profile and whiten with it
+
+    @field_validator("kind")
+    @classmethod
+    def _known_kind(cls, kind: str) -> str:
+        from estimation.errors import ModelError  # not at the top: a scenario is read without any estimator
+        from estimation.estimators import checked
+
+        try:
+            return checked(kind)
+        except ModelError as error:
+            raise ValueError(str(error)) from None
 
 
 class Filter(Frozen):

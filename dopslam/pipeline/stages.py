@@ -144,12 +144,13 @@ def _estimator(scenario_toml: str, threshold: float | None = None):
 
     Without ``threshold`` it is calibrated on noise for the scenario's false-alarm rate.
     """
-    import estimation
+    from estimation import estimators
 
     config = parse(scenario_toml).estimator
-    kinds = {"nomp": estimation.Nomp, "sage": estimation.Sage, "esprit": estimation.Esprit}
-    return kinds[config.kind](
+    return estimators.make(
+        config.kind,
         _model(scenario_toml),
+        config.options,
         false_alarm_rate=config.false_alarm_rate,
         max_speed=config.max_radial_velocity,
         max_paths=config.max_paths,
@@ -195,9 +196,11 @@ class StoredSignal:
         return dataset.read_snapshot(self.path, step)
 
 
-def _estimate_steps(scenario_toml: str, threshold: float, signal, steps: list[int]) -> list:
+def _estimate_steps(scenario_toml: str, threshold: float | None, signal, steps: list[int]) -> list:
+    from estimation.estimators import estimated
+
     estimator = _estimator(scenario_toml, threshold)
-    return [(step, estimator.run(signal.snapshot(step))) for step in steps]
+    return [(step, estimated(estimator, signal.snapshot(step))) for step in steps]
 
 
 def estimate(
@@ -220,7 +223,7 @@ def estimate(
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
     found: dict[int, object] = {}
     progress("estimate", 0, signal.steps)
-    threshold = _estimator(text).threshold  # calibrated once, on noise alone
+    threshold = getattr(_estimator(text), "threshold", None)  # calibrated once, on noise alone
     for done in parallel(delayed(_estimate_steps)(text, threshold, signal, steps) for steps in chunks):
         found.update(done)
         progress("estimate", len(found), signal.steps)
