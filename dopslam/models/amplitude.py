@@ -69,7 +69,7 @@ class AmplitudeModel:
 
     def log_likelihood(self, z, u):
         """log f(z|u) of eq. (7): truncated Rice, −inf below the threshold."""
-        return np.where(z > self.threshold, self.log_rice(z, u) - np.log(self.detection_probability(u)), -np.inf)
+        return np.where(z >= self.threshold, self.log_rice(z, u) - np.log(self.detection_probability(u)), -np.inf)
 
     def detection_probability(self, u):
         """p_d(u) = Q₁(u/σ, γ/σ) by the non-central χ² survival function."""
@@ -82,12 +82,12 @@ class AmplitudeModel:
         return np.interp(u, grid, table)
 
     def log_false_alarm(self, z):
-        """Log density of a false alarm's amplitude for z > γ; −inf below."""
+        """Log density of a false alarm's amplitude for z ≥ γ (what just passes is detected); −inf below."""
         rayleigh = np.log(2 * z) - np.square(z) + self.threshold**2
         if self.tail_weight > 0:
             tail = np.where(z < self.tail_end, np.log(self.tail_weight / (self.tail_end - self.threshold)), -np.inf)
             rayleigh = np.logaddexp(np.log1p(-self.tail_weight) + rayleigh, tail)
-        return np.where(z > self.threshold, rayleigh, -np.inf)
+        return np.where(z >= self.threshold, rayleigh, -np.inf)
 
     def sample(self, rng: np.random.Generator, u) -> np.ndarray:
         """Noisy amplitudes |u + noise| of paths with amplitude ``u``, not yet thresholded."""

@@ -110,8 +110,10 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
         amplitude, amplitude_end = ConstantDetection(setup.detection_probability), 1.0
         assumptions = replace(assumptions, reacquisition=0.0)
     else:
-        amplitude_end = float(max(2 * np.sqrt(series.snr.max()), 2 * np.sqrt(series.threshold)))
-        amplitude = AmplitudeModel(float(np.sqrt(series.threshold)), samples, setup.false_alarm_tail, amplitude_end)
+        # Whatever is in the table was detected: a threshold above its weakest row is not the one it passed.
+        threshold = float(np.sqrt(min(series.threshold, series.snr.min())))
+        amplitude_end = 2 * max(float(np.sqrt(series.snr.max())), threshold)
+        amplitude = AmplitudeModel(threshold, samples, setup.false_alarm_tail, amplitude_end)
     reach = max(end - abs(float(setup.mean[3])), 1.0)
     parameters = Parameters(
         **asdict(assumptions),
