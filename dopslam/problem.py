@@ -16,6 +16,7 @@ from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.adapter import Setup, turning
 from dopslam.slam.belief.records import TYPES, Assumptions
 from dopslam.slam.pmb.ek_pmb import FilterParameters
+from dopslam.slam.snapshot import start as snapshot
 
 
 def motion(scenario: Scenario) -> CoordinatedTurn:
@@ -32,6 +33,21 @@ def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
     """
     spread = np.array(scenario.track.start_std)
     return np.array(scenario.track.start), np.diag(spread**2 if reading == "std" else spread)
+
+
+def start(scenario: Scenario, scans: Scans, doppler: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance of what a filter starts from: the scenario's, or found from the scans alone.
+
+    Raises
+    ------
+    FilterError
+        If ``filter.start`` is ``"snapshot"`` and no scan tells where the receiver is.
+    """
+    if scenario.filter.start == "prior":
+        return prior(scenario)
+    bs = np.array(scenario.base_station.position)
+    found = snapshot.start(scans, motion(scenario), bs, scenario.receiver.height, doppler=doppler)
+    return found.mean, found.covariance
 
 
 def base_stations(scenario: Scenario) -> BaseStations:
@@ -98,10 +114,11 @@ def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
     return ConstantDetection(model.detection_probability, model.sp_range)
 
 
-def belief_setup(scenario: Scenario) -> Setup:
-    """What belief propagation is told: start and motion as the other filters, the rest from ``[belief]``."""
+def belief_setup(scenario: Scenario, known: tuple[np.ndarray, np.ndarray] | None = None) -> Setup:
+    """What belief propagation is told: start (``known``, else the scenario's) and motion as the other filters, the rest
+    from ``[belief]``."""
     track, belief = scenario.track, scenario.belief
-    mean, covariance = prior(scenario)
+    mean, covariance = known or prior(scenario)
     return Setup(
         anchor=np.array(scenario.base_station.position),
         height=scenario.receiver.height,

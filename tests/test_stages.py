@@ -1,14 +1,16 @@
 """The stages over a dataset file: composition, entering anywhere, and what a user sees when something is missing."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dopslam.config.scenario import load
-from dopslam.errors import DatasetError
+from dopslam.errors import ConfigError, DatasetError, FilterError
 from dopslam.pipeline import file as stages
-from dopslam.records import DetectionSeries, Track, same
+from dopslam.records import BaseStations, DetectionSeries, Track, same
+from dopslam.slam.snapshot.start import locate
 from dopslam.store import file as dataset
 
 
@@ -118,3 +120,34 @@ def test_a_run_keeps_its_dataset_when_the_filters_fail(call, tmp_path, monkeypat
     assert call("run", "ring_road", "--source", "model", "--set", "track.steps=3") == 1
     assert (tmp_path / "runs" / "latest" / "dataset.h5").exists()
     assert "broken" in (tmp_path / "runs" / "latest" / "failed.json").read_text()
+
+
+def test_a_start_from_the_scans_alone_does_not_look_at_the_scenarios(simulated):
+    """Told a start 50 m off, a filter with filter.start="snapshot" gives what it gives without being told."""
+    withheld = ["filter.start=snapshot"]
+    stages.slam(simulated, [*withheld, "track.start=[50.0, 50.0, 0.0, 250.0]"], "joint")
+    astray = stages.histories(simulated)["joint"]
+    stages.slam(simulated, withheld, "joint")
+    found = stages.histories(simulated)["joint"]
+    assert same(astray, found)
+    track = dataset.read_record(simulated, "track", Track)
+    assert np.hypot(*(found.mean[:, :2] - track.position[:, :2]).T).max() < 3.0
+    with pytest.raises(ConfigError, match=r'filter.start="snapshot"'):
+        load("ring_road", ["track.start=snapshot"])
+
+
+def test_locate_finds_the_receiver_from_one_scan_of_a_file(simulated):
+    track, detections = (
+        dataset.read_record(simulated, *r) for r in (("track", Track), ("detections", DetectionSeries))
+    )
+    stations = BaseStations(np.array([[0.0, 0.0, 40.0]]), np.zeros(1))
+    modes = locate(detections, stations, step=2)
+    error = modes.pose[0] - track.state[2]
+    error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+    assert error @ np.linalg.solve(modes.covariance[0], error) < 25
+    assert modes.probability.sum() == pytest.approx(1)
+    turned = replace(stations, yaw=np.array([0.3]))
+    moved = replace(detections, aod=detections.aod - [0.3, 0.0])
+    np.testing.assert_allclose(locate(moved, turned, step=2).pose[0], modes.pose[0], atol=1e-6)
+    with pytest.raises(FilterError, match="names base station 1"):
+        locate(replace(detections, anchor=np.ones(len(detections.delay), int)), stations)

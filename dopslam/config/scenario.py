@@ -100,6 +100,15 @@ class TrackConfig(Frozen):
     process_std: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.2, 0.2, 0.001, 0.2)  # per step
     random: bool = True  # draw start and process noise; False: exactly the nominal track
 
+    @field_validator("start", mode="before")
+    @classmethod
+    def _a_world_starts_somewhere(cls, value):
+        if value == "snapshot":
+            raise ValueError(
+                'tracing and simulation start here too; to keep it from the filter set filter.start="snapshot"'
+            )
+        return value
+
 
 class ScatterPoint(Frozen):
     """A small object, as a point with a constant radar cross-section."""
@@ -173,6 +182,7 @@ class Filter(Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
     density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B, without Doppler
+    start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
     particles: Count = 1000  # of belief propagation
     associations: Count = 10  # γ best data associations per step
     iterations: Count = 3  # of the update; 1 is the plain EKF

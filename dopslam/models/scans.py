@@ -94,7 +94,7 @@ class Scans(Ragged):
 def from_detections(
     detections: DetectionSeries,
     *,
-    bs_yaw: float = 0.0,
+    bs_yaw: float | Array = 0.0,
     doppler_span: float,
     minimum_clutter: float = 1e-3,
     period: float | None = None,
@@ -105,8 +105,9 @@ def from_detections(
     ----------
     detections : DetectionSeries
         Delays in seconds with the clock bias, covariances in SI units.
-    bs_yaw : float
-        Azimuth [rad] of the BS frame's x axis in the world; added to the AOD azimuth.
+    bs_yaw : float or (N,) array
+        Azimuth [rad] of the BS frame's x axis in the world, of one BS or of that of each detection; added to the AOD
+        azimuth.
     doppler_span : float
         Width of the estimator's search in radial velocity [m/s], twice its maximum.
     minimum_clutter : float

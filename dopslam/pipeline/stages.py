@@ -313,15 +313,18 @@ def slam(
         If the detections cannot be filtered.
     """
     density = density or scenario.filter.density
+    scans = build.scans(scenario, detections)
+    start = build.start(scenario, scans, doppler)
     if density == "bp":
         from dopslam.slam.belief import adapter
 
-        return adapter.slam(detections, build.belief_setup(scenario), particles=scenario.filter.particles, seed=seed)
+        setup = build.belief_setup(scenario, start)
+        return adapter.slam(detections, setup, particles=scenario.filter.particles, seed=seed)
     detection = build.detection_model(scenario, detections.threshold)
     smoothed = density == "smoother"
     arguments = (
-        build.scans(scenario, detections),
-        build.prior(scenario),
+        scans,
+        start,
         build.motion(scenario),
         np.array(scenario.base_station.position),
         build.filter_parameters(scenario, detection, "joint" if smoothed else density, doppler),

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dopslam.errors import FilterError
 from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
-from dopslam.models.scans import Scans
+from dopslam.models.scans import Scans, from_detections
+from dopslam.records import BaseStations, DetectionSeries
+from dopslam.slam.snapshot.candidates import Prior
 from dopslam.slam.snapshot.chain import Chain, Walk, before, chain
-from dopslam.slam.snapshot.locate import Search, find_modes
+from dopslam.slam.snapshot.locate import Modes, Search, find_modes
 from dopslam.slam.snapshot.rays import Rays
 
 Array = NDArray[np.float64]
@@ -41,6 +44,57 @@ def rays_of(scans: Scans, step: int, anchors: Array, height: float, planar: bool
     rows = scans.rows(step)
     anchor = np.broadcast_to(anchors, (len(scans.z), 3))[rows]
     return Rays(scans.z[rows], scans.covariance[rows], np.array(anchor), height, planar, doppler)
+
+
+def locate(
+    detections: DetectionSeries,
+    stations: BaseStations,
+    height: float = 0.0,
+    *,
+    step: int = 0,
+    planar: bool = False,
+    doppler: bool = True,
+    prior: Prior | None = None,
+    search: Search | None = None,
+) -> Modes:
+    """Where a receiver is from one scan and nothing else: position, heading, clock bias, and with Doppler the velocity.
+
+    Parameters
+    ----------
+    detections : DetectionSeries
+        Delays [s] and angles [rad] of one or more scans.
+    stations : BaseStations
+        What the detections' `anchor` column counts.
+    height : float
+        Of the receiver [m].
+    step : int
+        The scan that is looked at.
+    planar : bool
+        No elevations were measured: everything lies in the horizontal plane.
+    doppler : bool
+        Whether the radial velocities were measured.
+    prior : Prior or None
+        Knowledge of the pose, one more factor.
+    search : Search or None
+
+    Returns
+    -------
+    Modes
+        The best first; `pose` (M, 4) [x m, y m, heading rad, bias m] with `covariance` (M, 4, 4) and `probability` (M,).
+        None at all if the scan has too few paths.
+
+    Examples
+    --------
+    >>> modes = locate(detections, stations, height=1.5)  # doctest: +SKIP
+    >>> modes.pose[0], modes.covariance[0]  # doctest: +SKIP
+    """
+    one = detections.take([step])
+    if len(one.anchor) and one.anchor.max() >= len(stations):
+        raise FilterError(
+            f"locate: a detection of step {step} names base station {one.anchor.max()}, but there are {len(stations)}"
+        )
+    scans = from_detections(one, bs_yaw=stations.yaw[one.anchor], doppler_span=1.0)
+    return find_modes(rays_of(scans, 0, stations.position[one.anchor], height, planar, doppler), prior, search)
 
 
 def walk_of(motion: CoordinatedTurn, mean: Array, covariance: Array) -> Walk:
