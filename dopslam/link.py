@@ -25,6 +25,7 @@ from estimation import (
     comb,
     cylinder,
     dft_beams,
+    estimators,
     outward,
     random_phase_beams,
     sweep,
@@ -86,6 +87,27 @@ def _codebook(scenario: Scenario, elements: int, rng: np.random.Generator) -> np
             'radio.beams.kind = "dft" needs base_station.array.kind = "planar"; use "random_phase" or "antenna"'
         )
     return dft_beams(array.rows, array.columns)
+
+
+def estimator(scenario: Scenario, model: SignalModel, threshold: float | None = None):
+    """The scenario's channel estimator; without ``threshold`` it is calibrated on noise for the false-alarm rate.
+
+    Raises
+    ------
+    estimation.ModelError
+        If this kind cannot work with these arrays, pilots and beams.
+    """
+    config = scenario.estimator
+    return estimators.make(
+        config.kind,
+        model,
+        config.options,
+        false_alarm_rate=config.false_alarm_rate,
+        max_speed=config.max_radial_velocity,
+        max_paths=config.max_paths,
+        dense_multipath=config.dense_multipath,
+        threshold=threshold,
+    )
 
 
 def noise_variance(scenario: Scenario) -> float:

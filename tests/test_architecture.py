@@ -66,7 +66,7 @@ FLOORS = [
     {"errors", "records", "compiled", "llvm", "config", "store", "link", "cluster"},
     {"models", "raytracing"},
     {"slam", "simulate", "evaluate"},
-    {"problem", "report"},
+    {"problem", "report", "preflight"},
     {"pipeline"},
     {"datasets"},
     {"formats"},

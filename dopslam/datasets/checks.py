@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +14,12 @@ from dopslam.datasets.shard import inspect_shard
 from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
 from dopslam.pipeline.stages import Progress, quiet
+from dopslam.preflight import Finding
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track
 from dopslam.store import file as dataset
 
 TYPES = {kind.__name__: kind for kind in (Track, Steps, Landmarks, Paths, DetectionSeries, FloorPlan, Mesh)}
 LENGTH_TOLERANCE = 1e-6  # m, between a delay and the length along its interaction points
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One fault: where it is, and what is wrong."""
-
-    where: str
-    what: str
 
 
 def check(path: str | Path, progress: Progress = quiet) -> list[Finding]:

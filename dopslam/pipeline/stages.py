@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam import link as radio
+from dopslam import preflight
 from dopslam import problem as build
 from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
@@ -69,7 +70,6 @@ def tracing_inputs(scenario: Scenario, seed: int):
     """What the tracer needs of a scenario: scene source, scatter points with drawn phases, settings."""
     from dopslam import raytracing
 
-    source = raytracing.SceneSource(scenario.scene_file or scenario.scene.builtin, scenario.scene.materials)
     points = raytracing.ScatterPoints(
         names=tuple(p.name for p in scenario.scatter_point),
         positions=np.array([p.position for p in scenario.scatter_point]).reshape(-1, 3),
@@ -79,7 +79,7 @@ def tracing_inputs(scenario: Scenario, seed: int):
     settings = raytracing.TraceSettings(
         max_depth=scenario.trace.max_depth, samples=scenario.trace.samples, seed=scenario.trace.seed
     )
-    return source, points, settings
+    return preflight.scene_source(scenario), points, settings
 
 
 def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
@@ -94,9 +94,9 @@ def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
 
     track = draw_track(scenario, seed)
     carrier = scenario.radio.carrier_frequency
-    source, points, settings = tracing_inputs(scenario, seed)
+    _, points, settings = tracing_inputs(scenario, seed)
     progress("trace", 0, track.steps)
-    loaded = raytracing.load_scene(source, carrier)
+    loaded = preflight.checked_scene(scenario, track.position)
     landmarks, paths = raytracing.trace(
         loaded, carrier, scenario.base_station.position, track.position, track.velocity, points, settings
     )
@@ -144,19 +144,7 @@ def _estimator(scenario_toml: str, threshold: float | None = None):
 
     Without ``threshold`` it is calibrated on noise for the scenario's false-alarm rate.
     """
-    from estimation import estimators
-
-    config = parse(scenario_toml).estimator
-    return estimators.make(
-        config.kind,
-        _model(scenario_toml),
-        config.options,
-        false_alarm_rate=config.false_alarm_rate,
-        max_speed=config.max_radial_velocity,
-        max_paths=config.max_paths,
-        dense_multipath=config.dense_multipath,
-        threshold=threshold,
-    )
+    return radio.estimator(parse(scenario_toml), _model(scenario_toml), threshold)
 
 
 @dataclass(frozen=True)

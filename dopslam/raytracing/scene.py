@@ -81,8 +81,13 @@ def scene_file(path: str | Path) -> Path:
     raise SceneError(f"scene {str(path)!r} is neither a file nor a scene that Sionna ships; {hint}")
 
 
-def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
-    """Load a scene for tracing at ``carrier_frequency`` [Hz].
+def load_geometry(source: SceneSource) -> LoadedScene:
+    """Load a scene of whatever materials, for a look at its surfaces; its gains mean nothing."""
+    return load_scene(source, 28e9, "concrete")
+
+
+def load_scene(source: SceneSource, carrier_frequency: float, all_of: str | None = None) -> LoadedScene:
+    """Load a scene for tracing at ``carrier_frequency`` [Hz]; ``all_of`` is an ITU type that replaces every material.
 
     Raises
     ------
@@ -97,10 +102,11 @@ def load_scene(source: SceneSource, carrier_frequency: float) -> LoadedScene:
         root = ET.fromstring(file.read_text(encoding="utf-8"))
     except (ET.ParseError, UnicodeDecodeError, OSError) as error:
         raise SceneError(f"{file}: not a readable XML file ({error})") from error
-    _map_materials(root, source.materials, file)
+    named = {name: all_of for bsdf in _materials(root) for name in _names(bsdf) if name} if all_of else None
+    _map_materials(root, source.materials if named is None else named, file)
     wrong = undefined_materials(root, carrier_frequency, file)
     if wrong:
-        raise SceneError(wrong[0] + (f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""))
+        raise SceneError("; ".join(wrong))
     authors_name = name_objects(root, file)
     # Scenes are cyclic; one that is still registered changes the tracer's kernels, which compile again.
     gc.collect()

@@ -145,17 +145,31 @@ def _bounds(count: int, owner: np.ndarray, triangles: np.ndarray) -> tuple[np.nd
 def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance: float = CLEARANCE) -> None:
     """Refuse positions inside an object or closer to a surface than ``clearance`` [m].
 
+    Raises
+    ------
+    SceneError
+        With everything that :func:`position_faults` finds.
+    """
+    faults = position_faults(surfaces, points, clearance)
+    if faults:
+        raise SceneError("; ".join(faults))
+
+
+def position_faults(surfaces: Surfaces, points: dict[str, np.ndarray], clearance: float = CLEARANCE) -> list[str]:
+    """What is wrong with positions in a scene: inside an object, outside of the one that holds most of them, too close.
+
     A closed object that contains every given position (a room around the whole scene) is no obstacle.
 
     Parameters
     ----------
-    points : name → (3,) or (N, 3) m; the name is used in the message, with the row's number for several
+    points : name → (3,) or (N, 3) m; the name is used in the sentences, with the row's number for several
         points
 
-    Raises
-    ------
-    SceneError
-        For the first offending position: which, where, the object, the remedy.
+    Returns
+    -------
+    list of str
+        A sentence for every object and kind of fault, by the first position concerned: which, where, the object, the
+        remedy.
     """
     names = list(points)
     blocks = [np.atleast_2d(np.asarray(value, dtype=float)) for value in points.values()]
@@ -163,9 +177,15 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     label = [f"{n} {i}" if len(b) > 1 else n for n, b in zip(names, blocks, strict=True) for i in range(len(b))]
     for name, point in zip(label, stacked, strict=True):
         if not np.all(np.isfinite(point)):
-            raise SceneError(f"{name} has the position {point.tolist()}; give finite numbers in meters")
+            return [f"{name} has the position {point.tolist()}; give finite numbers in meters"]
     lower, upper = _bounds(len(surfaces.objects), surfaces.triangle_object, surfaces.triangles)
     wrong: list[tuple[int, str]] = []
+
+    def add(mask: np.ndarray, what: str) -> None:
+        row, others = int(np.argmax(mask)), int(mask.sum()) - 1
+        and_others = f" (and {others} other position{'s' if others > 1 else ''})" if others else ""
+        wrong.append((row, f"{label[row]} at {_text(stacked[row])} m{and_others} {what}"))
+
     for index, owner in enumerate(surfaces.objects):
         near = np.all((stacked >= lower[index] - clearance) & (stacked <= upper[index] + clearance), axis=1)
         rows = np.flatnonzero(near)
@@ -177,13 +197,18 @@ def check_positions(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
             close[chunk] = distance_to_triangles(stacked[chunk], mesh).min(axis=1, initial=np.inf) < clearance
             inside[chunk] = np.abs(winding_number(stacked[chunk], mesh)) > 0.5
         if np.any(close):
-            what = f"is closer than {100 * clearance:g} cm to a surface of object {owner!r}; move it away"
-            wrong.append((int(np.argmax(close)), what))
-        if np.any(inside) and not np.all(inside):
-            wrong.append((int(np.argmax(inside)), f"lies inside object {owner!r}; move it out"))
-    if wrong:
-        row, what = min(wrong)
-        raise SceneError(f"{label[row]} at {_text(stacked[row])} m {what}")
+            add(close, f"is closer than {100 * clearance:g} cm to a surface of object {owner!r}; move it away")
+        inside &= ~close
+        outside = ~inside & ~close
+        if np.any(inside) and np.any(outside):
+            if inside.sum() > outside.sum():
+                add(
+                    outside,
+                    f"lies outside of object {owner!r}, the others inside object {owner!r}; keep all on one side",
+                )
+            else:
+                add(inside, f"lies inside object {owner!r}; move it out")
+    return [what for _, what in sorted(wrong)]
 
 
 def _text(point: np.ndarray) -> str:
