@@ -14,6 +14,7 @@ import numpy as np
 from dopslam import link as radio
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DopslamError, SceneError
+from dopslam.generators import generate, scene_xml
 from estimation.errors import EstimationError
 
 if TYPE_CHECKING:
@@ -36,7 +37,11 @@ def scene_source(scenario: Scenario) -> SceneSource:
     """Where the scenario's geometry comes from."""
     from dopslam.raytracing import SceneSource
 
-    return SceneSource(scenario.scene_file or str(scenario.scene.builtin), scenario.scene.materials)
+    scene = scenario.scene
+    if scene.generator is not None:
+        made = generate(scene.generator, scene.seed, scene.options, scenario.radio.carrier_frequency)
+        return SceneSource(scenario.name, scene.materials, scene_xml(made))
+    return SceneSource(scenario.scene_file or str(scene.builtin), scene.materials)
 
 
 def findings(scenario: Scenario, scene: LoadedScene, positions: np.ndarray) -> list[Finding]:

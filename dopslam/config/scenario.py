@@ -20,6 +20,7 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_valid
 from dopslam.config.arrays import LARGEST_ARRAY, ArrayConfig, elements
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
 from dopslam.config.drives import DatasetConfig
+from dopslam.config.generated import filled
 from dopslam.config.types import (
     LARGEST_SNAPSHOT,
     Coordinate,
@@ -36,18 +37,24 @@ from dopslam.errors import ConfigError
 
 
 class Scene(Frozen):
-    """Where the geometry comes from: a Mitsuba XML beside the scenario or a scene that ships with Sionna RT."""
+    """Where the geometry comes from: a Mitsuba XML beside the scenario, a scene that ships with Sionna RT, or a generator
+    (:mod:`dopslam.generators`), which also makes whatever the scenario leaves out."""
 
     file: str | None = None
     builtin: str | None = None
+    generator: str | None = None  # street, plaza, room, corridor, hall
+    seed: Seed = 0  # of the generator
+    options: dict[str, float | tuple[float, float]] = Field(
+        default_factory=dict
+    )  # of the generator, or [least, largest]
     materials: dict[str, str] = Field(
         default_factory=dict
     )  # material in the file → material used, e.g. marble → concrete
 
     @model_validator(mode="after")
     def _one_source(self):
-        if (self.file is None) == (self.builtin is None):
-            raise ValueError("give exactly one of scene.file and scene.builtin")
+        if sum(v is not None for v in (self.file, self.builtin, self.generator)) != 1:
+            raise ValueError("give exactly one of scene.file, scene.builtin and scene.generator")
         return self
 
 
@@ -321,6 +328,7 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
         raise ConfigError(f"{source}: not valid TOML: {error}") from error
     for override in overrides:
         _apply(tree, override)
+    tree = filled(tree)
     try:
         scenario = Scenario.model_validate(tree)
     except ValidationError as error:

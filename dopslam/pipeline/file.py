@@ -9,6 +9,7 @@ from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate import detections as matching
+from dopslam.evaluate import mapping
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import stages as pipeline
@@ -185,23 +186,26 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     if not evaluations:
         raise DatasetError(f"{path}: no filter's history could be judged: {failed}")
     radius = scenario.evaluation.found_radius
-    variants = {name: summarize(e, landmarks, radius) for name, e in evaluations.items()}
+    detections = read_detections(path)
+    matches = None if paths is None else matching.match_series(scenario, track, paths, detections)
+    seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)
+    variants = {
+        name: summarize(e, landmarks, radius)
+        | mapping.fate(landmarks, found[name], scenario.filter.report_existence, *seen).figures(landmarks)
+        for name, e in evaluations.items()
+    }
     main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
     main = main if main in variants else next(iter(variants))
     summary = {
         "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
         **variants[main],
-        "detections": _detection_figures(scenario, track, paths, read_detections(path)),
+        "detections": matching.figures(matches)
+        if matches is not None
+        else {"per_snapshot": len(detections.delay) / detections.steps},
         "variants": variants,
         **({"failed": dict(failed)} if failed else {}),
     }  # fmt: skip
     return summary, evaluations
-
-
-def _detection_figures(scenario: Scenario, track: Track, paths: Paths | None, detections: DetectionSeries) -> dict:
-    if paths is None:
-        return {"per_snapshot": len(detections.delay) / detections.steps}
-    return matching.figures(matching.match_series(scenario, track, paths, detections))
 
 
 def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:

@@ -34,10 +34,12 @@ class SceneSource:
     ----------
     path : a scene file, or the name of a scene that Sionna ships, such as ``"simple_street_canyon"``
     materials : material (its id in the file, or its ITU type) → ITU type to use instead, or ``"absorber"``
+    xml : the scene itself, where it is not in a file; ``path`` is its name in messages then
     """
 
     path: str | Path
     materials: Mapping[str, str] = field(default_factory=dict)
+    xml: str | None = None
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,10 @@ def load_scene(source: SceneSource, carrier_frequency: float, all_of: str | None
     LLVMError
         If the ray tracer cannot run on this machine.
     """
-    file = scene_file(source.path)
+    file = scene_file(source.path) if source.xml is None else Path(source.path)
     rt, mi = backend()
     try:
-        root = ET.fromstring(file.read_text(encoding="utf-8"))
+        root = ET.fromstring(source.xml or file.read_text(encoding="utf-8"))
     except (ET.ParseError, UnicodeDecodeError, OSError) as error:
         raise SceneError(f"{file}: not a readable XML file ({error})") from error
     named = {name: all_of for bsdf in _materials(root) for name in _names(bsdf) if name} if all_of else None
