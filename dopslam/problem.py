@@ -129,6 +129,7 @@ def belief_setup(scenario: Scenario, known: tuple[np.ndarray, np.ndarray] | None
         yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
         assumptions=assumptions(belief, "single_bounce"),
         false_alarm_tail=0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
+        doppler_span=2 * doppler_limit(scenario),
     )
 
 

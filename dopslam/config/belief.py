@@ -58,6 +58,9 @@ class BeliefConfig(Frozen):
 
     # single_bounce: VAs with and without AOD, and scatterers. None: paper in the synthetic experiment, else single_bounce.
     types: Literal["paper", "aod_for_va", "single_bounce", "va_only", "ps_only"] | None = None
+    # conditional: features given the agent, correlation kept, with Doppler; independent: the paper's marginals
+    features: Literal["conditional", "independent"] = "conditional"
+    agent: Literal["particles", "gaussian"] = "particles"  # of the conditional form
     start: Literal["informed", "uniform"] = "informed"  # by the first line of sight, or not
     engine: Literal["rao_blackwellized", "stacked"] = "rao_blackwellized"
     backend: Literal["drjit", "numba", "numpy"] = "drjit"  # of the stacked engine

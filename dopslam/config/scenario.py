@@ -188,7 +188,7 @@ class Estimator(Frozen):
 class Filter(Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
-    density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B, without Doppler
+    density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B
     start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
     particles: Count = 1000  # of belief propagation
     associations: Count = 10  # γ best data associations per step

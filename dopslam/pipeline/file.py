@@ -99,6 +99,7 @@ VARIANTS = {
     "marginal, no Doppler": ("marginal", False),
     "smoother": ("smoother", True),
     "smoother, no Doppler": ("smoother", False),
+    "bp": ("bp", True),
     "bp, no Doppler": ("bp", False),
 }
 
@@ -123,7 +124,7 @@ def slam(path: Path, settings=(), density: str | None = None, doppler: bool = Tr
     scenario, seed = scenario_of(path, settings)
     detections = blurred(scenario, read_detections(path), seed)
     density = density or scenario.filter.density
-    doppler = doppler and density != "bp"  # paper B's measurements have none
+    doppler = doppler and pipeline.uses_doppler(scenario, density)
     history = pipeline.slam(scenario, detections, density, doppler, seed)
     name = variant_name(density, doppler)
     dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
@@ -194,7 +195,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         | mapping.fate(landmarks, found[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }
-    main = variant_name(scenario.filter.density, scenario.filter.density != "bp")
+    main = variant_name(scenario.filter.density, pipeline.uses_doppler(scenario, scenario.filter.density))
     main = main if main in variants else next(iter(variants))
     summary = {
         "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,

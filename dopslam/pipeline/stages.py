@@ -292,7 +292,7 @@ def slam(
     ----------
     density : ``"joint"``, ``"marginal"``, ``"smoother"`` (fixed lag over joint) or ``"bp"`` (paper B); default the
         scenario's
-    doppler : whether the Doppler row is used; belief propagation never does
+    doppler : whether the Doppler row is used
     seed : of the particles of belief propagation
 
     Raises
@@ -306,7 +306,7 @@ def slam(
     if density == "bp":
         from dopslam.slam.belief import adapter
 
-        setup = build.belief_setup(scenario, start)
+        setup = replace(build.belief_setup(scenario, start), doppler=doppler)
         return adapter.slam(detections, setup, particles=scenario.filter.particles, seed=seed)
     detection = build.detection_model(scenario, detections.threshold)
     smoothed = density == "smoother"
@@ -323,6 +323,11 @@ def slam(
     else:
         history, _ = ek_pmb.run(*arguments)
     return history
+
+
+def uses_doppler(scenario: Scenario, density: str) -> bool:
+    """Whether a filter can use Doppler: paper B's measurements have none, and neither has its form of the features."""
+    return density != "bp" or scenario.belief.features == "conditional"
 
 
 def largest_order(density: str, landmarks: Landmarks) -> int:

@@ -67,5 +67,7 @@ def test_scans_carry_lengths_and_unit_vectors():
     np.testing.assert_allclose(np.linalg.norm(scan.aoa, axis=1), 1.0)
     np.testing.assert_allclose(np.sqrt(scan.covariance[:, 0, 0]), 0.05)
     flat = scans_of(series, Setup(**{**{f: getattr(setup, f) for f in setup.__slots__}, "spatial": False}))[1]
-    assert flat.covariance.shape[1:] == (3, 3)
+    assert flat.covariance.shape[1:] == (4, 4)  # distance, two azimuths, radial velocity
+    assert flat.without_doppler.covariance.shape[1:] == (3, 3)
+    np.testing.assert_array_equal(flat.radial_velocity, series.radial_velocity[3:6][: len(flat)])
     assert len(flat) < len(scan)  # steep arrivals are left out in the plane

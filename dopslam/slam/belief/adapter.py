@@ -15,8 +15,10 @@ import numpy as np
 
 from dopslam.errors import FilterError
 from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
+from dopslam.models.detection import SnrDetection
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Kind
 from dopslam.slam.belief import geometry
+from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.motion import Motion, SpeedHeading, particles
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.records import AOD_FOR_SINGLE_BOUNCE, Assumptions, Estimate, Form, Parameters, Scan
@@ -37,6 +39,7 @@ class Setup:
     largest_elevation : rad, detections with a larger arrival elevation are left out in the plane
     assumptions : on the features; false_alarm_tail : share of false alarms as strong as paths
     detection_probability : for detections without amplitudes
+    doppler : use radial velocities, where the features are conditional; doppler_span : m/s, width of their search
     """
 
     anchor: np.ndarray
@@ -52,6 +55,8 @@ class Setup:
     assumptions: Assumptions = field(default_factory=lambda: Assumptions(types=AOD_FOR_SINGLE_BOUNCE))
     false_alarm_tail: float = 0.1
     detection_probability: float = 0.9
+    doppler: bool = True
+    doppler_span: float = 50.0
 
 
 def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_walk: float = 0.0) -> SpeedHeading:
@@ -78,12 +83,14 @@ def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
     aoa, aod = aoa[used], aod[used]
     # (delay, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the
     # elevation.
-    scale = np.ones((len(aoa), 5))
+    doppler = setup.doppler and setup.assumptions.features == "conditional"
+    size = 6 if doppler else 5
+    scale = np.ones((len(aoa), size))
     scale[:, 0] = SPEED_OF_LIGHT
     scale[:, 1], scale[:, 3] = np.cos(aoa[:, 1]), np.cos(aod[:, 1])
-    covariance = series.covariance[rows][used][:, :5, :5] * scale[:, :, None] * scale[:, None, :]
+    covariance = series.covariance[rows][used][:, :size, :size] * scale[:, :, None] * scale[:, None, :]
     if not setup.spatial:
-        flat = np.array([0, 1, 3])
+        flat = np.array([0, 1, 3, 5] if doppler else [0, 1, 3])
         covariance = covariance[:, flat][:, :, flat]
         aoa, aod = aoa * [1.0, 0.0], aod * [1.0, 0.0]
     covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
@@ -95,10 +102,13 @@ def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
         geometry.unit_vector(aod[:, 0] + setup.yaw, aod[:, 1]),
         np.sqrt(series.snr[rows][used]),
         np.ascontiguousarray(covariance),
+        series.radial_velocity[rows][used] if doppler else None,
     )
 
 
-def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> RaoBlackwell:
+def filter_of(
+    series: DetectionSeries, setup: Setup, samples: float = 1e6, particles: int = 1000
+) -> RaoBlackwell | Conditional:
     """The filter with false alarms, detection and search region taken from the detections.
 
     samples : number of samples N_s behind the SNR
@@ -126,7 +136,12 @@ def filter_of(series: DetectionSeries, setup: Setup, samples: float = 1e6) -> Ra
         rescale_covariance=False,
         spatial=setup.spatial,
     )
-    return RaoBlackwell(parameters, setup.motion)
+    if assumptions.features == "independent":
+        return RaoBlackwell(parameters, setup.motion)
+    return Conditional(
+        parameters, setup.motion, doppler=setup.doppler, doppler_span=setup.doppler_span, particles=particles,
+        detection=SnrDetection(amplitude.threshold**2) if isinstance(amplitude, AmplitudeModel) else None,
+    )  # fmt: skip
 
 
 def start_of(setup: Setup, rng: np.random.Generator, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -140,6 +155,31 @@ def start_of(setup: Setup, rng: np.random.Generator, size: int) -> tuple[np.ndar
     return particles(position, velocity, state[:, 3], state[:, 2]), np.zeros(size)
 
 
+def gaussian_start(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+    """The prior in the motion's coordinates: mean (c,), covariance (c, c)."""
+    x, y, heading, bias = setup.mean
+    forward = geometry.unit_vector(np.array([heading]))
+    place = np.array([[x, y, setup.height if setup.spatial else 0.0]])
+    mean = setup.motion.coordinates(particles(place, setup.speed * forward, bias, np.array([heading])))[0]
+    # Position 2, heading, bias and speed of the prior through the motion's own coordinates.
+    root = np.zeros((5, 5))
+    root[:4, :4] = np.asarray(setup.covariance)
+    root[4, 4] = setup.speed_deviation**2
+    slope = np.zeros((len(mean), 5))
+    for j, step in enumerate(1e-5 * np.eye(5)):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = np.array([x, y, heading, bias, setup.speed]) + sign * step
+            velocity = moved[4] * geometry.unit_vector(moved[2:3])
+            ends.append(
+                setup.motion.coordinates(
+                    particles([[moved[0], moved[1], place[0, 2]]], velocity, moved[3], moved[2:3])
+                )[0]
+            )
+        slope[:, j] = (ends[0] - ends[1]) / 2e-5
+    return mean, slope @ root @ slope.T
+
+
 def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: int = 0) -> History:
     """Track and map from detections.
 
@@ -149,8 +189,11 @@ def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: 
         The record that the EK-PMB filters give: states [x m, y m, heading rad, bias m] and the declared map.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    filter_ = filter_of(series, setup)
-    state = filter_.init(*start_of(setup, rng, particles))
+    filter_ = filter_of(series, setup, particles=particles)
+    if isinstance(filter_, Conditional):
+        state = filter_.start(*gaussian_start(setup), rng)
+    else:
+        state = filter_.init(*start_of(setup, rng, particles))
     estimates = []
     for scan in scans_of(series, setup):
         state, info = filter_.step(rng, state, scan)

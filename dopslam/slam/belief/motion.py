@@ -8,6 +8,7 @@ as paper B does, :class:`SpeedHeading` carries it as a state of its own, which s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -43,9 +44,14 @@ class ConstantVelocity:
     vertical_increment: float = 0.0
     bias_walk: float = 0.0
 
+    NOISES: ClassVar[int] = 4  # standard normal numbers of a step
+
     def predict(self, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
         """Particles one step later, (N, 8)."""
-        noise = rng.standard_normal((len(x), 4))
+        return self.moved(x, rng.standard_normal((len(x), self.NOISES)))
+
+    def moved(self, x: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Particles one step later for given standard normal noise (N, 4)."""
         w = noise[:, :3] * np.array([self.speed_increment, self.speed_increment, self.vertical_increment])
         return particles(
             x[:, POSITION] + self.interval * (x[:, VELOCITY] + 0.5 * w),
@@ -83,9 +89,14 @@ class SpeedHeading:
     position_walk: float = 0.0
     bias_walk: float = 0.0
 
+    NOISES: ClassVar[int] = 5  # standard normal numbers of a step
+
     def predict(self, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
         """Particles one step later, (N, 8); exact arc for the known turn rate."""
-        noise = rng.standard_normal((len(x), 5))
+        return self.moved(x, rng.standard_normal((len(x), self.NOISES)))
+
+    def moved(self, x: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Particles one step later for given standard normal noise (N, 5)."""
         speed, heading = self._polar(x)
         new_speed = speed + self.speed_walk * noise[:, 0]
         drift = self.heading_walk * noise[:, 1] + self.turn_rate * self.interval

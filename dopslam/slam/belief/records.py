@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
@@ -53,7 +54,9 @@ class Scan:
     aod : (M, 3) unit vectors of departure, world frame
     amplitude : (M,) normalized amplitudes
     covariance : (M, n, n) of (distance, AOA tangents, AOD tangents) at the measured amplitude; n = 3 in the
-        plane (azimuth tangents), 5 in space (azimuth, then elevation tangents of each direction)
+        plane (azimuth tangents), 5 in space (azimuth, then elevation tangents of each direction); with radial
+        velocities one row and column more, the last
+    radial_velocity : (M,) m/s, positive when approaching, or None
     """
 
     distance: np.ndarray
@@ -61,6 +64,7 @@ class Scan:
     aod: np.ndarray
     amplitude: np.ndarray
     covariance: np.ndarray
+    radial_velocity: np.ndarray | None = None
 
     def __post_init__(self):
         rows = len(self.distance)
@@ -68,9 +72,11 @@ class Scan:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise FilterError(f"Scan.{name} has shape {getattr(self, name).shape}, expected {shape}")
-        n = self.covariance.shape[-1]
-        if self.covariance.shape != (rows, n, n) or n not in (3, 5):
-            raise FilterError(f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n 3 or 5")
+        n, allowed = self.covariance.shape[-1], (3, 5) if self.radial_velocity is None else (4, 6)
+        if self.covariance.shape != (rows, n, n) or n not in allowed:
+            raise FilterError(
+                f"Scan.covariance has shape {self.covariance.shape}, expected ({rows}, n, n), n {allowed[0]} or {allowed[1]}"
+            )
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -78,11 +84,22 @@ class Scan:
     @property
     def tangents(self) -> int:
         """Tangent coordinates per direction: 1 in the plane, 2 in space."""
-        return (self.covariance.shape[-1] - 1) // 2
+        return (self.covariance.shape[-1] - 1) // 2  # the row of radial velocity, if any, does not change it
 
     def select(self, rows) -> Scan:
         """The scan restricted to some of its measurements."""
-        return Scan(self.distance[rows], self.aoa[rows], self.aod[rows], self.amplitude[rows], self.covariance[rows])
+        return Scan(
+            self.distance[rows], self.aoa[rows], self.aod[rows], self.amplitude[rows], self.covariance[rows],
+            None if self.radial_velocity is None else self.radial_velocity[rows],
+        )  # fmt: skip
+
+    @property
+    def without_doppler(self) -> Scan:
+        """The scan without radial velocities."""
+        if self.radial_velocity is None:
+            return self
+        covariance = np.ascontiguousarray(self.covariance[:, :-1, :-1])
+        return Scan(self.distance, self.aoa, self.aod, self.amplitude, covariance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,9 +116,14 @@ class Assumptions:
     amplitude_walk : relative standard deviation of the amplitude's random walk per step
     reacquisition : weight of a uniform amplitude in the likelihood, lets a blocked feature return (guard g3)
     detection_threshold, pruning_threshold : on the existence probability
+    features : ``"conditional"`` keeps the correlation of the features with the agent; ``"independent"`` keeps the
+        marginals only, as the paper does, and believes too much
+    agent : ``"particles"`` or ``"gaussian"``, of the conditional form
     """
 
     types: tuple[Form, ...] = PAPER
+    features: Literal["conditional", "independent"] = "conditional"
+    agent: Literal["particles", "gaussian"] = "particles"
     type_switch: float = 0.01
     survival: float = 0.999
     birth_rate: float = 0.05

@@ -1,0 +1,1 @@
+"""Belief propagation that keeps the correlation between agent and features."""

@@ -1,0 +1,188 @@
+"""The belief that the conditional filter carries from step to step, and its prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dopslam.models.measurement import wrap
+from dopslam.slam.belief.motion import Motion, SpeedHeading
+from dopslam.slam.belief.records import Form, Parameters
+
+_STEP = 1e-4  # of the central differences, in a coordinate's own unit or in standard deviations
+_HEADING = 4  # coordinate of :class:`SpeedHeading` that is an angle
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """Features given the agent, x | s ~ N(center + G (s − s̄), C), one row per feature and type; row 0 is the line of sight.
+
+    Attributes
+    ----------
+    label : (K + 1,) int, number of each feature, −1 the line of sight
+    first : (K + 2,) int, rows of feature k are first[k]:first[k + 1]
+    form : (R,) int; weight : (R,) P(exists, type)
+    reference : (R, 2) mean and variance of the amplitude times the root of the spreading loss
+    center : (R, 3) m; gain : (3R, d), G; spread : (3R, 3R) m², C
+    """
+
+    label: np.ndarray
+    first: np.ndarray
+    form: np.ndarray
+    weight: np.ndarray
+    reference: np.ndarray
+    center: np.ndarray
+    gain: np.ndarray
+    spread: np.ndarray
+
+    @property
+    def existence(self) -> np.ndarray:
+        """(K + 1,) existence probabilities."""
+        return np.add.reduceat(self.weight, self.first[:-1])
+
+    @property
+    def owner(self) -> np.ndarray:
+        """(R,) feature of each row."""
+        return np.repeat(np.arange(len(self.label)), np.diff(self.first))
+
+    def select(self, rows: np.ndarray) -> Map:
+        """Some of the rows (ascending, 0 among them); features without a row are dropped."""
+        owner, wide = self.owner[rows], (3 * rows[:, None] + np.arange(3)).ravel()
+        kept, counts = np.unique(owner, return_counts=True)
+        return Map(
+            self.label[kept], np.concatenate([[0], np.cumsum(counts)]), self.form[rows], self.weight[rows],
+            self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
+        )  # fmt: skip
+
+    def joined(self, label, counts, form, weight, reference, center, gain, spread) -> Map:
+        """With newborn features behind, independent of all others given the agent; spread (·, 3, 3), gain (·, 3, d)."""
+        old, new = len(self.spread), 3 * len(form)
+        wide = np.zeros((old + new, old + new))
+        wide[:old, :old] = self.spread
+        for i, block in enumerate(spread):
+            at = slice(old + 3 * i, old + 3 * i + 3)
+            wide[at, at] = block
+        return Map(
+            np.concatenate([self.label, label]), np.concatenate([self.first, self.first[-1] + np.cumsum(counts)]),
+            np.concatenate([self.form, form]), np.concatenate([self.weight, weight]),
+            np.concatenate([self.reference, reference]), np.concatenate([self.center, center]),
+            np.concatenate([self.gain, gain.reshape(new, -1)]), wide,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """Agent and map.
+
+    Attributes
+    ----------
+    mean : (c,) all coordinates of the motion model; covariance : (d, d) of those that are uncertain
+    active : (d,) int, which these are
+    points : (N, d) particles, or None for a Gaussian agent; log_weight : (N,)
+    map : :class:`Map`
+    next_label : of the next new feature
+    cloud : particles (N, 8) and log weights of a start that is no Gaussian, before the first step only
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    active: np.ndarray
+    points: np.ndarray | None
+    log_weight: np.ndarray | None
+    map: Map
+    next_label: int = 0
+    cloud: tuple[np.ndarray, np.ndarray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """A motion model in its free coordinates, linearized by central differences: one code for every motion."""
+
+    motion: Motion
+
+    def _relative(self, coordinates: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """The branch of the heading that is nearest to the center's."""
+        if isinstance(self.motion, SpeedHeading):
+            coordinates = coordinates.copy()
+            coordinates[:, _HEADING] = center[_HEADING] + wrap(coordinates[:, _HEADING] - center[_HEADING])
+        return coordinates
+
+    def coordinates(self, particles: np.ndarray) -> np.ndarray:
+        """(N, c) free coordinates of particles."""
+        return self.motion.coordinates(particles)
+
+    def poses(self, coordinates: np.ndarray) -> np.ndarray:
+        """(N, 8) poses."""
+        return np.ascontiguousarray(self.motion.rebuild(coordinates))
+
+    def moved(self, coordinates: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """(N, c) one step later, without noise."""
+        particles = self.motion.rebuild(coordinates)
+        moved = self.motion.moved(particles, np.zeros((len(particles), self.motion.NOISES)))
+        return self._relative(self.motion.coordinates(moved), center)
+
+    def linearize(self, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """f(mean) (c,), F (c, c) and Q (c, c)."""
+        c, w = len(mean), self.motion.NOISES
+        offsets = np.concatenate([np.zeros((1, c)), _STEP * np.eye(c), -_STEP * np.eye(c), np.zeros((2 * w, c))])
+        noise = np.concatenate([np.zeros((1 + 2 * c, w)), np.eye(w), -np.eye(w)])
+        particles = self.motion.rebuild(mean + offsets)
+        after = self.motion.coordinates(self.motion.moved(particles, noise))
+        after = self._relative(after, after[0])
+        by_state = (after[1 : 1 + c] - after[1 + c : 1 + 2 * c]).T / (2 * _STEP)
+        by_noise = (after[1 + 2 * c : 1 + 2 * c + w] - after[1 + 2 * c + w :]).T / 2
+        return after[0], by_state, by_noise @ by_noise.T
+
+    def pose(self, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (8,) and its Jacobian (8, c)."""
+        c = len(mean)
+        poses = self.motion.rebuild(mean + np.concatenate([np.zeros((1, c)), _STEP * np.eye(c), -_STEP * np.eye(c)]))
+        difference = poses[1 : 1 + c] - poses[1 + c :]
+        difference[:, 7] = wrap(difference[:, 7])
+        return poses[0], np.ascontiguousarray(difference.T / (2 * _STEP))
+
+
+def uncertain(dynamics: Dynamics, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Which coordinates (c,) the prior or, within three steps, the motion makes uncertain."""
+    total = np.diag(covariance).copy()
+    for _ in range(3):
+        mean, transition, noise = dynamics.linearize(mean)
+        covariance = transition @ covariance @ transition.T + noise
+        total += np.diag(covariance)
+    return np.flatnonzero(total > 1e-24)
+
+
+def predict_map(
+    parameters: Parameters, old: Map, covariance: np.ndarray, transition: np.ndarray, predicted: np.ndarray
+) -> Map:
+    """Survival, type chain and walks, and the features given the agent one step later.
+
+    With J = P Fᵀ P'⁻¹ (the smoother's gain) x | s' has G' = G J and C' = C + G (P − J P' Jᵀ) Gᵀ.
+    """
+    smooth = np.linalg.solve(predicted, transition @ covariance).T
+    left = covariance - smooth @ predicted @ smooth.T
+    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    root = old.gain @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    spread = old.spread + root @ root.T
+    axes = 3 if parameters.spatial else 2
+    walk = np.zeros((len(old.form), 3))
+    walk[1:, :axes] = parameters.position_walk**2
+    spread[np.diag_indices(len(spread))] += walk.ravel()
+    weight = parameters.survival * old.weight
+    weight[0] += parameters.return_probability * (1 - old.weight[0])
+    if len(parameters.types) > 1:
+        # The chain over the types that are still considered.
+        counts = np.diff(old.first)
+        exists = np.add.reduceat(weight, old.first[:-1])
+        share = np.where(counts > 1, parameters.type_switch / np.maximum(counts - 1, 1), 0.0)
+        weight = weight + np.repeat(share, counts) * (np.repeat(exists, counts) - np.repeat(counts, counts) * weight)
+    return replace(old, weight=weight, gain=old.gain @ smooth, spread=spread)
+
+
+def empty_map(anchor: np.ndarray, size: int, sight: np.ndarray) -> Map:
+    """Only the line of sight; sight (3,) is its existence and the mean and variance of its reference."""
+    return Map(
+        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), sight[None, 1:].copy(),
+        np.array(anchor, float)[None], np.zeros((3, size)), np.zeros((3, 3)),
+    )  # fmt: skip

@@ -1,0 +1,371 @@
+"""Belief propagation that keeps the correlation between agent and features.
+
+The recursion of :class:`~dopslam.slam.belief.rao_blackwell.RaoBlackwell` (paper B) with messages on the joint of agent and
+map: after a step a feature is not a marginal of its own but a Gaussian *given the agent*, x | s ~ N(x̄ + G(s − s̄), C).
+The independent form counts what a feature has learnt from the agent as news when the feature informs the agent next time;
+here it is not news. Data association is the loopy one, on the evidence of the joint. The agent is a Gaussian, or particles
+with exact weights (:mod:`dopslam.slam.belief.conditional.particles`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dopslam.models.detection import SnrDetection
+from dopslam.slam.association.loopy import Association, loopy_association
+from dopslam.slam.belief.belief import effective_size, normalized, systematic
+from dopslam.slam.belief.conditional import particles as sampling
+from dopslam.slam.belief.conditional.amplitude import amplitude_messages, amplitude_table, log_loss
+from dopslam.slam.belief.conditional.belief import Belief, Dynamics, empty_map, predict_map, uncertain
+from dopslam.slam.belief.conditional.births import births
+from dopslam.slam.belief.conditional.estimate import estimate_of
+from dopslam.slam.belief.conditional.linear import Measured, measured
+from dopslam.slam.belief.conditional.update import linearized_rows, pair_densities, sequential_update
+from dopslam.slam.belief.motion import Motion
+from dopslam.slam.belief.rao_blackwell import RaoBlackwell
+from dopslam.slam.belief.records import Info, Parameters, Scan
+
+
+@dataclass(frozen=True)
+class Conditional:
+    """The filter: parameters only; ``start``, ``init`` and ``step`` are pure.
+
+    Parameters
+    ----------
+    parameters, motion : the models
+    doppler : use radial velocities where the scans have them; doppler_span : m/s, width of their search
+    detection : p_D of a search over all path parameters; None: the amplitude model's own
+    particles : N of the agent, where it is one
+    iterations : linearizations of an update
+    kernel : width h of the particles' kernels, of 1
+    widening : of the proposal's standard deviation
+    pair_gate : squared Mahalanobis distance beyond which a measurement cannot be a feature's
+    gate : associations less likely than this are left out of the updates
+    prune_type : types below this share of a feature's existence are dropped
+    """
+
+    parameters: Parameters
+    motion: Motion
+    doppler: bool = True
+    doppler_span: float = 50.0
+    detection: SnrDetection | None = None
+    particles: int = 1000
+    iterations: int = 3
+    kernel: float = 0.7
+    widening: float = 1.15
+    pair_gate: float = 200.0
+    gate: float = 1e-7
+    prune_type: float = 1e-5
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """The motion in its coordinates."""
+        return Dynamics(self.motion)
+
+    @cached_property
+    def _table(self):
+        parameters = self.parameters
+        return amplitude_table(parameters.amplitude, self.detection, parameters.reacquisition, parameters.amplitude_end)
+
+    @cached_property
+    def _forms(self) -> np.ndarray:
+        return np.array([int(form) for form in self.parameters.types], dtype=np.int64)
+
+    @property
+    def _sampled(self) -> bool:
+        return self.parameters.agent == "particles"
+
+    def start(self, mean: np.ndarray, covariance: np.ndarray, rng: np.random.Generator | None = None) -> Belief:
+        """Belief before the first step from a Gaussian of the motion's coordinates, mean (c,) and covariance (c, c)."""
+        mean, covariance = np.array(mean, float), np.array(covariance, float)
+        active = uncertain(self.dynamics, mean, covariance)
+        small = covariance[np.ix_(active, active)]
+        points = log_weight = None
+        if self._sampled:
+            if rng is None:
+                rng = np.random.default_rng(0)
+            points = (
+                mean[active] + rng.standard_normal((self.particles, len(active))) @ sampling.symmetric_root(small).T
+            )
+            log_weight = np.zeros(self.particles)
+        pose, _ = self.dynamics.pose(mean)
+        return Belief(mean, small, active, points, log_weight, self._sight(pose, len(active), None))
+
+    def init(self, agent: np.ndarray, log_weight: np.ndarray, sight_amplitude: float | None = None) -> Belief:
+        """Belief before the first step from particles (N, 8) that need not be Gaussian
+        (:mod:`dopslam.slam.belief.start`): the first step is made with them."""
+        coordinates = self.motion.coordinates(agent)
+        mean = coordinates.mean(axis=0)
+        active = uncertain(self.dynamics, mean, np.cov(coordinates.T))
+        pose = agent[int(np.argmax(log_weight))]
+        covariance = np.cov(coordinates[:, active].T)
+        return Belief(
+            mean, covariance, active, None, None, self._sight(pose, len(active), sight_amplitude),
+            cloud=(np.array(agent, float), np.array(log_weight, float)),
+        )  # fmt: skip
+
+    def _sight(self, pose, size, amplitude):
+        """The line of sight before the first step; without a guess of its amplitude as wide as the support."""
+        anchor, end = np.asarray(self.parameters.anchor, float), self.parameters.amplitude_end
+        mean, deviation = (end / 4, end / 4) if amplitude is None else (amplitude, 0.1 * amplitude)
+        loss = np.exp(log_loss(0, pose, *anchor, anchor))
+        return empty_map(anchor, size, np.array([0.9, mean * np.sqrt(loss), deviation**2 * loss]))
+
+    def step(self, rng: np.random.Generator, belief: Belief, scan: Scan) -> tuple[Belief, Info]:
+        """Predict, associate, update agent and features, add births, prune, estimate."""
+        if belief.cloud is not None:
+            return self._first(rng, belief, scan)
+        parameters = self.parameters
+        rows = measured(scan, self.doppler)
+        log_false = self._log_false(scan, rows)
+        prior, centers, noise = self._predict(belief)
+        pose, full = self.dynamics.pose(prior.mean)
+        by_coordinate = np.ascontiguousarray(full[:, prior.active])
+        anchor = np.asarray(parameters.anchor, float)
+        chart = prior.map
+        slopes = linearized_rows(chart.form, chart.center, pose, by_coordinate, anchor, rows)
+        mean = prior.mean[prior.active]
+        log_density = pair_densities(
+            chart.form, mean, prior.covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows,
+            self.pair_gate,
+        )  # fmt: skip
+        loss = np.array([log_loss(f, pose, *x, anchor) for f, x in zip(chart.form, chart.center, strict=True)])
+        u = chart.reference[:, 0] * np.exp(-0.5 * loss)
+        variance = chart.reference[:, 1] * np.exp(-loss) + (parameters.amplitude_walk * u) ** 2
+        log_amplitude, amplitudes = amplitude_messages(
+            self._table, u, variance, np.ascontiguousarray(scan.amplitude, float), np.isfinite(log_density)
+        )
+        log_born = self._log_births(pose, by_coordinate, prior.covariance, rows)[0] - log_false[:, None]
+        association = self._associate(chart, log_density, log_amplitude, log_false, log_born)
+        owner = chart.owner
+        log_pair = association.log_nu[owner] + log_amplitude[:, 1:] - log_false
+        log_pair[association.marginal[owner, 1:] < self.gate] = -np.inf
+        log_pair[~np.isfinite(log_density)] = -np.inf
+        exists = chart.existence
+        order = np.concatenate([[0], 1 + np.argsort(-exists[1:], kind="stable")])
+        inputs = (
+            chart.form,
+            chart.first,
+            order,
+            chart.weight,
+            mean,
+            prior.covariance,
+            chart.center,
+            chart.gain,
+            chart.spread,
+        )
+        log_missed = np.ascontiguousarray(log_amplitude[:, 0])
+        start, point = mean, chart.center
+        for iteration in range(self.iterations):
+            if iteration > 0:
+                slopes = linearized_rows(chart.form, point, pose, by_coordinate, anchor, rows)
+            updated = sequential_update(
+                *inputs, start, point, pose, *slopes, anchor, rows, log_pair, log_missed,
+                self.prune_type * parameters.pruning_threshold,
+            )  # fmt: skip
+            moved = updated[0] - start
+            start, point = updated[0], updated[2]
+            whole = prior.mean.copy()
+            whole[prior.active] = start
+            if iteration + 1 < self.iterations:
+                if np.all(moved**2 < 1e-2 * np.diag(updated[1])) and iteration > 0:
+                    break
+                pose_next, full = self.dynamics.pose(whole)
+                pose, by_coordinate = pose_next, np.ascontiguousarray(full[:, prior.active])
+        _, covariance, center, gain, spread, share = updated[:6]
+        weight = share.sum(axis=1)
+        reference = self._references(share, amplitudes, chart, whole, center, anchor)
+        chart = replace(chart, weight=weight, center=center, gain=gain, spread=spread, reference=reference)
+        posterior = replace(prior, mean=whole, covariance=covariance, map=chart)
+        effective = float("nan")
+        if self._sampled:
+            exact = (prior.map.form, prior.map.first, prior.map.weight), updated[6:10], slopes[1], log_pair, log_missed
+            posterior, effective = self._resample(rng, posterior, prior, centers, noise, exact, rows)
+        return self._finish(
+            posterior, scan, rows, association.new, association.marginal, log_false, log_born, effective, 0
+        )
+
+    def _predict(self, belief: Belief):
+        """Prior belief, and the components of the predicted density where the agent is sampled."""
+        active = belief.active
+        moved, transition, noise = self.dynamics.linearize(belief.mean)
+        transition, noise = transition[np.ix_(active, active)], noise[np.ix_(active, active)]
+        covariance = transition @ belief.covariance @ transition.T + noise
+        chart = predict_map(self.parameters, belief.map, belief.covariance, transition, covariance)
+        centers = None
+        if belief.points is not None:
+            h = self.kernel
+            mean = belief.mean[active]
+            whole = np.tile(belief.mean, (len(belief.points), 1))
+            whole[:, active] = mean + np.sqrt(1 - h**2) * (belief.points - mean)
+            centers = self.dynamics.moved(whole, moved)[:, active]
+            noise = noise + h**2 * (covariance - noise)
+        return replace(belief, mean=moved, covariance=covariance, map=chart), centers, noise
+
+    def _log_false(self, scan: Scan, rows: Measured) -> np.ndarray:
+        """(M,) ln of the false alarms' intensity in the space of the rows used."""
+        return self.parameters.log_false_alarm(scan) - (np.log(self.doppler_span) if rows.doppler else 0.0)
+
+    def _log_births(self, pose, by_coordinate, covariance, rows):
+        """ln c_ms (M, T) apart from the false alarms, and the newborn features given the agent."""
+        parameters = self.parameters
+        constant = np.log(parameters.birth_rate / parameters.volume / parameters.amplitude_end)
+        log_birth, *born = births(
+            self._forms, pose, by_coordinate, covariance, 3 if parameters.spatial else 2,
+            np.asarray(parameters.anchor, float), rows,
+        )  # fmt: skip
+        return log_birth + constant + np.log(parameters.prior), *born
+
+    def _associate(self, chart, log_density, log_amplitude, log_false, log_born) -> Association:
+        """Loopy data association, everything relative to the false alarms."""
+        log_weight = np.log(np.maximum(chart.weight, 1e-300))
+        by_row = log_weight[:, None] + log_density + log_amplitude[:, 1:] - log_false
+        log_detected = np.logaddexp.reduceat(by_row, chart.first[:-1], axis=0)
+        missed = np.add.reduceat(chart.weight * np.exp(log_amplitude[:, 0]), chart.first[:-1])
+        log_missed = np.log(missed + np.maximum(1 - chart.existence, 1e-12))
+        return loopy_association(log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_born, axis=1)))
+
+    def _references(self, share, amplitudes, chart, whole, center, anchor):
+        """(R, 2) amplitude references, matched over missed and associated measurements."""
+        total = share.sum(axis=1, keepdims=True)
+        p = np.where(total > 1e-280, share / np.maximum(total, 1e-280), np.eye(1, share.shape[1]))
+        mean = np.sum(p * amplitudes[:, :, 0], axis=1)
+        variance = np.sum(p * (amplitudes[:, :, 1] + (amplitudes[:, :, 0] - mean[:, None]) ** 2), axis=1)
+        pose, _ = self.dynamics.pose(whole)
+        loss = np.exp([log_loss(f, pose, *x, anchor) for f, x in zip(chart.form, center, strict=True)])
+        return np.column_stack([mean * np.sqrt(loss), variance * loss])
+
+    def _resample(self, rng, posterior: Belief, prior: Belief, centers, noise, exact, rows):
+        """Exact weights of particles from the linearized proposal; the agent becomes theirs, the map follows it."""
+        active, chart = posterior.active, posterior.map
+        (form, first, weight), before, by_feature, log_pair, log_missed = exact
+        before_prior = prior.mean[active], prior.covariance
+        means, covariance = sampling.proposal(
+            centers, noise, before_prior, (posterior.mean[active], posterior.covariance), self.widening
+        )
+        size = len(means)
+        chosen = systematic(rng, normalized(posterior.log_weight), size)
+        points = means[chosen] + rng.standard_normal(means.shape) @ sampling.symmetric_root(covariance).T
+        whole = np.tile(posterior.mean, (size, 1))
+        whole[:, active] = points
+        log_weight = sampling.log_messages(
+            form, first, weight, points, self.dynamics.poses(whole), *before, by_feature,
+            np.asarray(self.parameters.anchor, float), rows, log_pair, log_missed,
+        )  # fmt: skip
+        log_weight += sampling.quadratic(points - means[chosen], covariance)
+        log_weight -= sampling.quadratic(points - centers[chosen], noise)
+        normal = normalized(log_weight)
+        effective = effective_size(normal)
+        mean = normal @ points
+        offset = points - mean
+        spread = (normal[:, None] * offset).T @ offset
+        center = chart.center + (chart.gain @ (mean - posterior.mean[active])).reshape(-1, 3)
+        # Equal weights whose two moments are those of the weighted ones: resampling adds no noise of its own.
+        points = points[systematic(rng, normal, size)]
+        drawn = points - points.mean(axis=0)
+        have = drawn.T @ drawn / size
+        try:
+            left = np.linalg.cholesky(spread)
+            drawn = drawn @ np.linalg.solve(np.linalg.cholesky(have).T, left.T)
+        except np.linalg.LinAlgError:
+            pass
+        whole = posterior.mean.copy()
+        whole[active] = mean
+        return replace(
+            posterior, mean=whole, covariance=0.5 * (spread + spread.T), points=mean + drawn, log_weight=np.zeros(size),
+            map=replace(chart, center=center),
+        ), effective  # fmt: skip
+
+    def _finish(self, belief, scan, rows, new, marginal, log_false, log_born, effective, stages):
+        """Births, pruning, estimate."""
+        parameters = self.parameters
+        chart = belief.map
+        exists = np.repeat(chart.existence, np.diff(chart.first))
+        keep = (exists > parameters.pruning_threshold) & (chart.weight > self.prune_type * exists)
+        keep[0] = True
+        chart = chart.select(np.flatnonzero(keep))
+        log_new = np.logaddexp.reduce(log_born, axis=1)
+        existence = new * np.exp(log_new - np.logaddexp(0.0, log_new))
+        likely = np.flatnonzero(existence > parameters.pruning_threshold)
+        belief = replace(belief, map=chart)
+        if likely.size:
+            belief = self._born(belief, scan, rows, likely, existence[likely], log_false)
+        pose, full = self.dynamics.pose(belief.mean)
+        estimate = estimate_of(parameters, belief, pose, full)
+        info = Info(estimate, effective, stages, marginal, float(belief.map.weight[0]), len(belief.map.label) - 1)
+        return belief, info
+
+    def _born(self, belief: Belief, scan: Scan, rows: Measured, likely, existence, log_false) -> Belief:
+        """New features where the updated agent puts them."""
+        chart, anchor = belief.map, np.asarray(self.parameters.anchor, float)
+        pose, full = self.dynamics.pose(belief.mean)
+        by_coordinate = np.ascontiguousarray(full[:, belief.active])
+        part = rows._replace(
+            distance=rows.distance[likely], rate=rows.rate[likely], aoa=rows.aoa[likely], aod=rows.aod[likely],
+            covariance=rows.covariance[likely],
+        )  # fmt: skip
+        log_c = self._log_births(pose, by_coordinate, belief.covariance, part)[0]
+        _, x, gain, spread = self._log_births(pose, by_coordinate, np.zeros_like(belief.covariance), part)
+        possible = np.isfinite(log_c) & np.isfinite(self._exact(spread))
+        share = np.where(
+            possible, np.exp(log_c - np.max(np.where(possible, log_c, -1e300), axis=1, keepdims=True)), 0.0
+        )
+        total = share.sum(axis=1, keepdims=True)
+        share = share / np.maximum(total, 1e-300)
+        use = share > self.prune_type
+        m, t = np.nonzero(use)
+        counts = use.sum(axis=1)
+        fine = counts > 0
+        z = scan.amplitude[likely][m]
+        forms = self._forms[t]
+        loss = np.exp([log_loss(f, pose, *q, anchor) for f, q in zip(forms, x[m, t], strict=True)])
+        noise = self.parameters.amplitude.variance(z)
+        labels = belief.next_label + np.arange(int(fine.sum()))
+        chart = chart.joined(
+            labels, counts[fine], forms, existence[m] * share[m, t],
+            np.column_stack([z * np.sqrt(loss), noise * loss]), x[m, t], gain[m, t], spread[m, t],
+        )  # fmt: skip
+        return replace(belief, map=chart, next_label=belief.next_label + len(labels))
+
+    @staticmethod
+    def _exact(spread):
+        """(M, T) finite where a newborn's covariance is one."""
+        trace = np.trace(spread, axis1=-2, axis2=-1)
+        return np.where(trace > 0, trace, np.nan)
+
+    def _first(self, rng, belief: Belief, scan: Scan):
+        """The first step from particles that are no Gaussian: only the line of sight can inform them, with annealing."""
+        plain = RaoBlackwell(self.parameters, self.motion)
+        agent, log_weight = belief.cloud
+        sight = belief.map
+        pose = agent[int(np.argmax(log_weight))]
+        anchor = np.asarray(self.parameters.anchor, float)
+        loss = np.exp(log_loss(0, pose, *anchor, anchor))
+        known = np.array([0.9, sight.reference[0, 0] / np.sqrt(loss), sight.reference[0, 1] / loss])
+        state = replace(plain.init(agent, log_weight), sight=known)
+        state, info = plain.step(rng, state, scan.without_doppler)
+        normal = normalized(state.log_weight)
+        coordinates = self.motion.coordinates(state.agent)
+        mean = normal @ coordinates
+        active = belief.active
+        offset = coordinates[:, active] - mean[active]
+        covariance = (normal[:, None] * offset).T @ offset
+        pose, full = self.dynamics.pose(mean)
+        loss = np.exp(log_loss(0, pose, *anchor, anchor))
+        chart = empty_map(anchor, len(active), state.sight * np.array([1.0, np.sqrt(loss), loss]))
+        points = None
+        if self._sampled:
+            points = coordinates[systematic(rng, normal, self.particles)][:, active]
+        rows = measured(scan, self.doppler)
+        log_false = self._log_false(scan, rows)
+        by_coordinate = np.ascontiguousarray(full[:, active])
+        log_born = self._log_births(pose, by_coordinate, covariance, rows)[0] - log_false[:, None]
+        new = 1 - info.association[0, 1:]
+        belief = replace(
+            belief, mean=mean, covariance=covariance, points=points, cloud=None, map=chart,
+            log_weight=None if points is None else np.zeros(len(points)),
+        )  # fmt: skip
+        return self._finish(belief, scan, rows, new, info.association, log_false, log_born, info.effective, info.stages)
