@@ -26,6 +26,10 @@ class Flag(IntFlag):
     """Within 1.5 dB of the detection threshold."""
     SINGULAR = 8
     """Information nearly singular (for instance azimuth at a pole); rely on ``direction_covariance``."""
+    AMBIGUOUS = 16
+    """An array takes another direction in its view for the same. A line of elements sees only a cone about its axis:
+    elevation is reported as 0 with infinite variance, azimuth on the side that the line faces (+x, or +y of a line along
+    x) with the variance of the azimuths on the cone. The mirror image behind a planar array is not in the covariance."""
 
 
 @dataclass(frozen=True, eq=False)

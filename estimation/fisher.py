@@ -17,6 +17,8 @@ from .signal.directions import Float
 from .signal.model import SignalModel
 from .signal.paths import PathTable, tangent_jacobian
 
+NOTHING = 1e-24
+"""Share of the information of the path that tells most of a parameter below which another tells nothing of it."""
 UNSEEN = 1e-13
 """Share of the strongest path's energy per gain below which a path leaves no trace."""
 
@@ -68,23 +70,20 @@ def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
 
 def path_covariances(information: Float, active) -> Float:
     """Diagonal blocks (P, 6, 6) of the inverse information; infinite variance for parameters that the link
-    does not observe.
+    does not observe, or a path tells nothing of.
 
     A pseudo-inverse after scaling to unit diagonal gives a singular direction (azimuth at a pole) a huge but
     finite variance.
     """
     paths = len(information) // 6
-    observed = np.tile(np.asarray(active, bool), paths)
+    diagonal = np.diag(information)
+    told = diagonal > NOTHING * np.max(diagonal.reshape(paths, 6), axis=0, initial=0.0)[None].repeat(paths, 0).ravel()
+    observed = np.tile(np.asarray(active, bool), paths) & told
     reduced = information[np.ix_(observed, observed)]
-    diagonal = np.diag(reduced).copy()
-    diagonal[diagonal <= 0] = np.finfo(float).tiny ** 0.5
-    scale = 1 / np.sqrt(diagonal)
+    scale = 1 / np.sqrt(np.diag(reduced))
     values, vectors = np.linalg.eigh(reduced * np.outer(scale, scale))
     values = np.maximum(values, 1e-10)
     inverse = (vectors / values) @ vectors.T * np.outer(scale, scale)
-    full = np.zeros((6 * paths, 6 * paths))
+    full = np.diag(np.where(observed, 0.0, np.inf))
     full[np.ix_(observed, observed)] = inverse
-    blocks = full.reshape(paths, 6, paths, 6)[np.arange(paths), :, np.arange(paths)].copy()
-    idle = np.flatnonzero(~np.asarray(active, bool))
-    blocks[:, idle, idle] = np.inf
-    return blocks
+    return full.reshape(paths, 6, paths, 6)[np.arange(paths), :, np.arange(paths)].copy()

@@ -40,15 +40,23 @@ def threshold_for(false_alarm_rate: float, volume: float, parameters: int) -> fl
     Raises
     ------
     ModelError
-        if the rate is not in (0, 100).
+        if the rate is not in (0, 100), or the searched region is so small that the law of maxima does not hold.
     """
     if not 0 < false_alarm_rate < 100:
         raise ModelError(
             f"false_alarm_rate must lie between 0 and 100 expected false paths per snapshot, got {false_alarm_rate}"
         )
+    if not parameters:
+        # A single cell: exponential noise energy.
+        return max(-np.log(false_alarm_rate), 1.0)
     lowest = parameters + 1.0
-    if expected_maxima(lowest, volume, parameters) <= false_alarm_rate:
-        return lowest
+    most = float(expected_maxima(lowest, volume, parameters))
+    if most <= false_alarm_rate:
+        raise ModelError(
+            f"threshold: the searched region holds too few cells (effective volume {volume:.3g} over {parameters} "
+            f"parameters) for a false-alarm rate of {false_alarm_rate:.3g} per snapshot; ask for less than {most:.2g}, "
+            "or give threshold="
+        )
     return brentq(lambda u: float(expected_maxima(u, volume, parameters)) - false_alarm_rate, lowest, 700.0)
 
 

@@ -5,7 +5,7 @@ and speeds.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,8 +50,11 @@ def directions_in(view: View, array: Manifold, count: int = 6000) -> tuple[Float
     elif azimuth:
         az = np.linspace(-np.pi, np.pi, 1440, endpoint=False)
         points = np.stack([np.cos(az), np.sin(az), 0 * az], axis=1)
-        # One half of the circle mirrors the other about the line of the array; keep the one towards +x.
-        points = points[points[:, 0] > 0]
+        # One half of the circle mirrors the other about the line of the array; keep the one that it faces, if that is
+        # in the view at all.
+        front = points[points @ array.sight.side > 1e-9]
+        flat = replace(view, elevation=EVERYWHERE.elevation)
+        points = front if flat.contains(front).any() else points[points @ array.sight.side < -1e-9]
     elif elevation:
         el = np.linspace(-np.pi / 2, np.pi / 2, 720)
         points = np.stack([np.cos(el), 0 * el, np.sin(el)], axis=1)

@@ -9,10 +9,13 @@ import numpy as np
 
 from ..detections import Detections, Flag
 from ..fisher import path_covariances
-from ..signal.arrays import to_front
+from ..signal.arrays import Manifold, mirror_of
+from ..signal.directions import Float, sphere
 from ..signal.model import SignalModel
+from ..signal.observability import cone_variance, confused, mirrored
 from ..signal.paths import Geometry, tangent_jacobian
 from .detect import fitted_excess
+from .grids import View
 from .projector import Projector
 from .refine import Linearization, information, linearize
 
@@ -53,13 +56,38 @@ def unbiased(lin: Linearization, snr, threshold: float, active) -> Linearization
     return replace(lin, gain=lin.gain * np.sqrt(np.minimum(own / snr, 1.0)))
 
 
-def canonical(model: SignalModel, geometry: Geometry) -> Geometry:
-    """The same paths within the unambiguous delays, and in front of arrays that cannot tell front from back."""
+def canonical(estimator: Nomp, model: SignalModel, geometry: Geometry) -> Geometry:
+    """The same paths within the unambiguous delays, and in the view, or else in front, of arrays that cannot tell front
+    from back.
+    """
     return replace(
         geometry.wrapped(model.waveform.max_delay or np.inf),
-        arrival=to_front(model.receiver, geometry.arrival),
-        departure=to_front(model.transmitter, geometry.departure),
+        arrival=turned(model.receiver, geometry.arrival, estimator.arrival_view)[0],
+        departure=turned(model.transmitter, geometry.departure, estimator.departure_view)[0],
     )
+
+
+def turned(array: Manifold, directions: Float, view: View) -> tuple[Float, np.ndarray]:
+    """Directions (P, 3) or, of those that ``array`` takes for the same, the mirror images that are in the view or else in
+    front; and which of them (P,) have an equal in the view.
+    """
+    normal = mirror_of(array)
+    if normal is None or not len(directions):
+        return directions, np.zeros(len(directions), bool)
+    images = mirrored(directions, normal)
+    same = confused(array, directions, images)
+    inside, other = view.contains(directions), view.contains(images)
+    behind = directions @ normal < 0
+    swap = same & np.where(inside == other, behind, other)
+    return np.where(swap[:, None], images, directions), same & inside & other & (np.abs(directions @ normal) > 1e-9)
+
+
+def on_sphere(array: Manifold, view: View) -> Float:
+    """Directions (n, 3) of the view, spread over the sphere, on the side that a line of elements faces."""
+    points = sphere(6000)
+    inside = points[view.contains(points)]
+    front = inside @ array.sight.side > 0
+    return inside[front] if front.any() else inside
 
 
 def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
@@ -67,18 +95,29 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     model = data.model
     order = np.argsort(lin.drop)[::-1]
     geometry = lin.geometry.take(order)
-    plain = canonical(model, geometry)
+    plain = canonical(estimator, model, geometry)
     changed = any(np.any(getattr(plain, f.name) != getattr(geometry, f.name)) for f in fields(geometry))
     geometry, lin = plain, linearize(data, plain) if changed else lin.sorted(order)
     snr = lin.drop / noise_variance
     tangent = path_covariances(
         information(unbiased(lin, snr, estimator.level, model.active), model.active) * 2 / noise_variance, model.active
     )
+    flags = np.zeros(len(snr), np.uint8)
+    for number, (array, directions, view) in enumerate(
+        (
+            (model.receiver, geometry.arrival, estimator.arrival_view),
+            (model.transmitter, geometry.departure, estimator.departure_view),
+        )
+    ):
+        flags[turned(array, directions, view)[1]] |= np.uint8(Flag.AMBIGUOUS)
+        if array.sight.axis is not None:
+            flags |= np.uint8(Flag.AMBIGUOUS)
+            if array.observable[0]:
+                tangent[:, 1 + 2 * number, 1 + 2 * number] += cone_variance(array, directions, on_sphere(array, view))
     scale = tangent_jacobian(geometry)
     with np.errstate(invalid="ignore"):
         covariance = tangent * scale[:, :, None] * scale[:, None]
     table = geometry.table(lin.gain)
-    flags = np.zeros(len(snr), np.uint8)
     overlap = lin.coherence - np.eye(len(snr))
     flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
     flags[snr < 1.41 * estimator.level] |= np.uint8(Flag.WEAK)

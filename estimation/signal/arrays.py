@@ -12,6 +12,7 @@ elevation. ``orientation`` rotates the array's body (positions and pattern) into
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import ModelError
 from .directions import Float
+from .observability import Sight, sight_of
 
 Complex = np.typing.NDArray[Any]  # complex128; what numpy infers is wider
 
@@ -48,8 +50,13 @@ class Manifold(Protocol):
         ...
 
     @property
+    def sight(self) -> Sight:
+        """What the array can tell of a direction (:func:`~.observability.sight_of`)."""
+        ...
+
+    @property
     def observable(self) -> tuple[bool, bool]:
-        """Whether azimuth and elevation can be told at all from the element phases."""
+        """Whether azimuth and elevation can be told at all."""
         ...
 
     def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
@@ -78,7 +85,6 @@ class Array:
     pattern: Pattern | None = None
     orientation: Rotation | None = None
     _normal: Float | None = field(init=False, repr=False)
-    _rank: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         positions = np.atleast_2d(np.asarray(self.positions, float))
@@ -94,7 +100,6 @@ class Array:
         if rank == 2:
             normal = axes[2] * (np.sign(axes[2][np.flatnonzero(np.abs(axes[2]) > 1e-9)[0]]))
         object.__setattr__(self, "_normal", normal)
-        object.__setattr__(self, "_rank", rank)
 
     @property
     def elements(self) -> int:
@@ -106,18 +111,17 @@ class Array:
         """Where a planar array faces (3,), in the parent frame; None for any other."""
         return None if self._normal is None else self._to_parent(self._normal)
 
+    @cached_property
+    def sight(self) -> Sight:
+        """What the array can tell of a direction."""
+        return sight_of(self)
+
     @property
     def observable(self) -> tuple[bool, bool]:
         """Whether azimuth and elevation can be told: a linear array along z gives elevation only, any other
         line azimuth only.
         """
-        if self._rank == 0:
-            return False, False
-        if self._rank == 1:
-            line = self._to_parent(np.ptp(self.positions, axis=0))
-            vertical = np.hypot(line[0], line[1]) < 1e-6
-            return not vertical, bool(vertical)
-        return True, True
+        return self.sight.observable
 
     def faces(self, directions: Float) -> np.typing.NDArray[np.bool_]:
         """Which directions (P, 3) the array can see without ambiguity (a planar array: its own half-space)."""
@@ -153,15 +157,13 @@ class Array:
         return vectors if self.orientation is None else vectors @ self.orientation.as_matrix().T
 
 
-def to_front(array: Manifold, directions: Float) -> Float:
-    """Unit vectors (P, 3) that ``array`` cannot tell from ``directions``, on the side that it faces.
-
-    Only a planar array of isotropic elements has two sides that look the same.
+def mirror_of(array: Manifold) -> Float | None:
+    """(3,) normal of the plane at which reflected directions may look the same: where a planar array or a line of
+    elements faces; None for any other.
     """
-    if not isinstance(array, Array) or array.pattern is not None or array.normal is None:
-        return directions
-    beyond = np.minimum(directions @ array.normal, 0)[:, None]
-    return directions - 2 * beyond * array.normal
+    if array.sight.axis is not None:
+        return array.sight.side
+    return array.normal if isinstance(array, Array) else None
 
 
 def ula(count: int, spacing: float = 0.5, **options) -> Array:

@@ -7,6 +7,7 @@ path does to polarization is part of its complex gain.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..errors import ModelError
 from .arrays import Complex, Manifold
 from .directions import Float, angles_of, tangents, unit_vectors
+from .observability import Sight, sight_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +125,15 @@ class EadfArray:
         """Number of elements M."""
         return len(self.coefficients)
 
+    @cached_property
+    def sight(self) -> Sight:
+        """What the array can tell of a direction."""
+        return sight_of(self)
+
     @property
     def observable(self) -> tuple[bool, bool]:
-        """A measured array is taken to see both angles."""
-        return True, True
+        """Whether azimuth and elevation can be told."""
+        return self.sight.observable
 
     def faces(self, directions: Float):
         """Every direction."""

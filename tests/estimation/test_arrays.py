@@ -14,6 +14,7 @@ from estimation import (
     ModelError,
     ScheduleWarning,
     SignalModel,
+    View,
     ambiguity,
     antenna_switching,
     check_schedule,
@@ -26,7 +27,7 @@ from estimation import (
     ula,
     ura,
 )
-from estimation.signal.arrays import to_front
+from estimation.estimators.report import turned
 from estimation.signal.directions import displaced, sphere, tangents
 
 TURNED = Rotation.from_euler("zy", [40, 20], degrees=True)
@@ -124,12 +125,39 @@ def test_unequal_use_of_beams_has_no_slots():
 
 
 def test_directions_behind_a_planar_array_look_as_those_in_front():
-    turned = Rotation.from_euler("zyx", [0.7, -0.3, 0.2])
-    array = ura(3, 4, orientation=turned)
+    array = ura(3, 4, orientation=Rotation.from_euler("zyx", [0.7, -0.3, 0.2]))
     directions = sphere(40)
-    front = to_front(array, directions)
-    assert array.faces(front).all() and np.allclose(np.linalg.norm(front, axis=1), 1)
+    front, equal = turned(array, directions, View())
+    assert equal.all() and array.faces(front).all() and np.allclose(np.linalg.norm(front, axis=1), 1)
     assert np.allclose(array.response(front)[0], array.response(directions)[0])
     assert np.array_equal(front[array.faces(directions)], directions[array.faces(directions)])
     for other in (cylinder(6, 2), ura(3, 4, pattern=CosinePattern())):
-        assert to_front(other, directions) is directions
+        same, equal = turned(other, directions, View())
+        assert np.array_equal(same, directions) and not equal.any()
+
+
+def test_a_view_decides_between_a_direction_and_its_mirror_image():
+    array, behind = ura(3, 4), View((2.0, 4.3))
+    directions = sphere(40)
+    there, equal = turned(array, directions, behind)
+    inside = behind.contains(directions) | behind.contains(directions * [-1, 1, 1])
+    assert behind.contains(there[inside]).all() and not equal.any()
+
+
+@pytest.mark.parametrize(
+    ("array", "observable"),
+    [
+        (ula(8), (True, False)),
+        (Array(np.c_[0.5 * np.arange(6), np.zeros((6, 2))]), (True, False)),
+        (ura(6, 1), (False, True)),
+        (ura(1, 1, pattern=CosinePattern()), (False, False)),
+        (ula(6, pattern=DipolePattern()), (True, False)),
+        (cylinder(8, 2), (True, True)),
+        (ura(2, 64), (True, True)),
+    ],
+    ids=["line", "line along x", "mast", "point", "dipoles", "cylinder", "long strip"],
+)
+def test_what_an_array_can_tell_is_a_matter_of_its_response(array, observable):
+    assert array.observable == observable
+    if array.elements < 32:
+        assert EadfArray.from_array(array, 24).observable == observable
