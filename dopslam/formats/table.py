@@ -55,6 +55,7 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.formats.possible import QUANTITIES, refuse_impossible
+from dopslam.models import unmeasured
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 
 WIDTHS = (None, 2 * np.pi, np.pi, 2 * np.pi, np.pi, None)  # of what is searched; None: from the scenario or the data
@@ -74,7 +75,6 @@ CONVENTIONS: dict[str, tuple] = {
     "doppler": ("approaching", "receding"),
     "uplink": (False, True),
 }
-WIDE = 100.0  # standard deviation of what is not measured, over the width that is searched
 
 
 @dataclass(frozen=True)
@@ -242,11 +242,9 @@ def detections(
     refuse_impossible(path, z, std, order)
     missing = np.isnan(std)
     widths = np.array([w if w else d for w, d in zip(WIDTHS, _widths(z, scenario), strict=True)])
-    wide = WIDE * widths / np.sqrt(2 * np.pi)
-    std = np.where(missing, wide, std)
+    std = np.where(missing, unmeasured.deviation(widths), std)
     z[:, [1, 3]] = (z[:, [1, 3]] + np.pi) % (2 * np.pi) - np.pi
-    # In metres, as the filters have it; what is not measured counts with the width of its own Gaussian.
-    volume = np.where(missing.any(axis=0), WIDE * widths, widths) * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1]
+    metres = widths * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1]  # as the filters have it
     snr = _snr(get, mapping)
     return DetectionSeries(
         offsets=np.concatenate([[0], np.cumsum(np.bincount(step, minlength=count))]),
@@ -257,7 +255,7 @@ def detections(
         noise_variance=np.ones(count),
         threshold=float(snr.min(initial=np.inf)) if len(snr) else 1.0,
         false_alarm_rate=float(scenario.source.model.clutter_rate),
-        search_volume=float(np.prod(volume)),
+        search_volume=unmeasured.volume(metres, missing.any(axis=0)),
     )  # fmt: skip
 
 

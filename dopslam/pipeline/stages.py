@@ -20,6 +20,7 @@ from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
 from dopslam.evaluate.run import true_association
+from dopslam.models import unmeasured
 from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
 from dopslam.pipeline.seeds import Component, generator
@@ -223,20 +224,22 @@ def stack_detections(scenario: Scenario, snapshots: list, time: np.ndarray | Non
     model = _model(scenario.to_toml())
     speed = scenario.estimator.max_radial_velocity
     # Azimuths cover the circle, elevations count as (−π/2, π/2): the volume that false paths can fall into.
-    volume = model.waveform.max_delay * SPEED_OF_LIGHT * (2 * np.pi * np.pi) ** 2 * 2 * speed
+    widths = np.array([model.waveform.max_delay, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 2 * speed])
     counts = [len(d.delay) for d in snapshots]
 
     def column(name):
         return np.concatenate([getattr(d, name) for d in snapshots])
 
+    covariance, missing = unmeasured.filled(column("covariance"), widths)
     return DetectionSeries(
         offsets=edges_of(counts),
-        **{n: column(n) for n in ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr")},
+        **{n: column(n) for n in ("delay", "aoa", "aod", "radial_velocity", "gain", "snr")},
+        covariance=covariance,
         flags=column("flags").astype(np.int64),
         noise_variance=np.array([d.noise_variance for d in snapshots]),
         threshold=float(snapshots[0].threshold),
         false_alarm_rate=scenario.estimator.false_alarm_rate,
-        search_volume=float(volume),
+        search_volume=unmeasured.volume(widths * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1], missing),
         time=time,
     )
 

@@ -1,0 +1,32 @@
+"""What is not measured, as a measurement that tells nothing: a Gaussian far wider than what is searched.
+
+A filter then runs on any subset of the six quantities. The volume over which false paths spread is widened alike, so that
+no hypothesis gains by a quantity that nobody saw.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+WIDE = 100.0  # standard deviation over the width that is searched, times √(2π)
+
+
+def deviation(widths: np.ndarray) -> np.ndarray:
+    """Standard deviations (6,) of quantities that were not measured, from the widths (6,) that are searched."""
+    return WIDE * widths / np.sqrt(2 * np.pi)
+
+
+def volume(widths: np.ndarray, missing: np.ndarray) -> float:
+    """Volume that false paths spread over; ``missing`` (6,) counts with the width of its own Gaussian."""
+    return float(np.prod(np.where(missing, WIDE * widths, widths)))
+
+
+def filled(covariance: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (N, 6, 6) with wide variances where a link cannot observe a quantity (infinite), and which those are.
+
+    A row of elements cannot tell elevations, one symbol no Doppler, one pilot no delay.
+    """
+    missing = np.isinf(np.einsum("nii->ni", covariance))
+    either = missing[:, :, None] | missing[:, None, :]
+    wide = missing[:, :, None] * np.diag(deviation(widths) ** 2)
+    return np.where(either, wide, covariance), missing.any(axis=0)
