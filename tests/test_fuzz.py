@@ -177,7 +177,8 @@ def keys_attack(rng: np.random.Generator, have: Material, here: Path) -> Attack:
         commands = [["bound", "ring_road", *for_all]]
     elif route == 3:
         filters = str(rng.choice(["joint", "marginal", "smoother", "bp"]))
-        commands = [["montecarlo", "ring_road", "--runs", "1", "--jobs", "1", "--filter", filters, *for_all]]
+        where = "pedestrian" if filters == "bp" else "ring_road"
+        commands = [["montecarlo", where, "--runs", "1", "--jobs", "1", "--filter", filters, *for_all]]
     elif route == 4:
         shutil.copy(have.traced, path)
         commands = [["estimate", path, "--jobs", "1", *mine], ["slam", path, *mine], ["check", path]]
@@ -209,7 +210,9 @@ def mutated_text(text: str, rng: np.random.Generator) -> str:
                 lines[at] = lines[at] + ",1"
             case 2:
                 cells = lines[at].split(",")
-                cells[rng.integers(len(cells))] = str(rng.choice([*NUMBERS, "", "x", " ", "1,5", '"', "é", "0x10", "--1"]))
+                cells[rng.integers(len(cells))] = str(
+                    rng.choice([*NUMBERS, "", "x", " ", "1,5", '"', "é", "0x10", "--1"])
+                )
                 lines[at] = ",".join(cells)
             case 3:
                 lines.insert(at, lines[rng.integers(len(lines))])
@@ -370,7 +373,13 @@ def tracks_attack(rng: np.random.Generator, have: Material, here: Path) -> Attac
         command = ["import", have.table, "--map", have.mapping, "--scenario", "ring_road", "--out", here / "d.h5", "--track", track]  # fmt: skip
         return Attack([command], (track.name, have.table.name), (here / "d.h5",))
     file = here / "s.toml"
-    tree: dict[str, Any] = {"scenario": "ring_road", "runs": 1, "seed": 0, "set": list(SMALL), "vary": {"track.speed": [1.0]}}
+    tree: dict[str, Any] = {
+        "scenario": "ring_road",
+        "runs": 1,
+        "seed": 0,
+        "set": list(SMALL),
+        "vary": {"track.speed": [1.0]},
+    }
     place = rng.integers(3)
     if place == 0:
         key = str(rng.choice([*tree, "filter", "source", "x"]))
@@ -574,7 +583,13 @@ def make_material(folder: Path) -> Material:
         "snr": 100 + 0 * detections.delay,
     }  # fmt: skip
     real = dataset.read_record(drawn, "track", Track)
-    rows = {"time": real.time, "x": real.position[:, 0], "y": real.position[:, 1], "heading": real.heading, "bias": real.bias}
+    rows = {
+        "time": real.time,
+        "x": real.position[:, 0],
+        "y": real.position[:, 1],
+        "heading": real.heading,
+        "bias": real.bias,
+    }
     for file, content in ((table, columns), (truth, rows)):
         with open(file, "w", newline="", encoding="utf-8") as target:
             writer = csv.writer(target)
@@ -600,7 +615,7 @@ aod_elevation = 0.05
 radial_velocity = 0.1
 """)
     with contextlib.suppress(SystemExit), open(os.devnull, "w") as quiet, contextlib.redirect_stdout(quiet):
-        main(["montecarlo", "ring_road", "--runs", "1", "--jobs", "1", "--filter", "bp", *(p for s in SMALL for p in ("--set", s))])  # fmt: skip
+        main(["montecarlo", "pedestrian", "--runs", "1", "--jobs", "1", "--filter", "bp", *(p for s in SMALL for p in ("--set", s))])  # fmt: skip
     return Material(drawn, traced, table, mapping, truth)
 
 
