@@ -40,6 +40,15 @@ def positive(text: str, option: str, remedy: str) -> float:
     return value
 
 
+def derived_text(derived: dict[str, dict]) -> str:
+    """The values that a scenario left to follow from the others, as a person would have written them."""
+
+    def value(v) -> str:
+        return f"[{', '.join(map(value, v))}]" if isinstance(v, tuple | list) else f"{v:.6g}"
+
+    return ", ".join(f"{section}.{key} = {value(v)}" for section, keys in derived.items() for key, v in keys.items())
+
+
 def doppler_choice(text: str | None) -> tuple[bool, float | None]:
     """``--doppler-std``: whether Doppler is used, and its standard deviation [m/s] if one is given."""
     if text is None:

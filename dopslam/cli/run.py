@@ -10,7 +10,16 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from dopslam.cli.common import Seed, Settings, doppler_choice, leave_if_lost, overrides, progress_display, worker_count
+from dopslam.cli.common import (
+    Seed,
+    Settings,
+    derived_text,
+    doppler_choice,
+    leave_if_lost,
+    overrides,
+    progress_display,
+    worker_count,
+)
 from dopslam.cli.failure import sentence
 
 
@@ -65,6 +74,9 @@ def run(
         source__model__doppler_std=None if std is None else str(std),
     )
     scenario = load(scene, flags)
+    console = Console(markup=False)
+    if scenario.derived:
+        console.print(f"derived: {derived_text(scenario.derived)}", highlight=False)
     seconds: dict[str, float] = {}
 
     def timed(name: str, function, *arguments):
@@ -106,12 +118,12 @@ def run(
         summary = None
         try:
             summary, evaluations = stages.evaluate(data, failed=failed)
+            summary["derived"] = scenario.derived
             summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
             stages.report(data, working, summary, evaluations)
         except Exception as error:  # what was computed is worth more than its report
             failed["evaluate"] = sentence(error)
             folder.write_json(working / "failed.json", failed)
-    console = Console(markup=False)
     if summary is not None:
         console.print(tables.run_table(summary))
     for name, why in failed.items():

@@ -23,13 +23,17 @@ class CylinderArray(Frozen):
 
 
 class PlanarArray(Frozen):
-    """Uniform rectangular array in its y–z plane, boresight +x."""
+    """Uniform rectangular array in its y–z plane, boresight +x.
+
+    Its elements are patches before a reflector unless said otherwise: isotropic ones cannot tell front from back, and a
+    path from behind would be taken for one from the front.
+    """
 
     kind: Literal["planar"] = "planar"
     columns: Count
     rows: Count
     spacing_wavelengths: Positive = 0.5
-    pattern: Pattern = "isotropic"
+    pattern: Pattern = "cosine"
 
 
 class CustomArray(Frozen):

@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from dopslam.config.arrays import LARGEST_ARRAY, ArrayConfig, elements
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
 from dopslam.config.drives import DatasetConfig
+from dopslam.config.fitted import fitted
 from dopslam.config.generated import filled
+from dopslam.config.sentences import sentence
 from dopslam.config.types import (
     LARGEST_SNAPSHOT,
     Coordinate,
@@ -87,12 +89,24 @@ class Radio(Frozen):
     """Waveform and beam schedule of one snapshot (paper A, eq. 2)."""
 
     carrier_frequency: Positive = 28e9  # Hz
+    bandwidth: Positive | None = None  # Hz, from which the pilots follow where they are not given
     subcarriers: Count = 400  # occupied pilots
     subcarrier_spacing: Positive = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
     symbol_period: Positive = 35.68e-6  # s, between the symbols used
     subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
+
+    @model_validator(mode="after")
+    def _one_bandwidth(self):
+        pilots = {"subcarriers", "subcarrier_spacing", "comb"}
+        spanned = self.subcarriers * self.subcarrier_spacing * self.comb
+        if self.bandwidth and pilots <= self.model_fields_set and not 0.8 < spanned / self.bandwidth < 1.25:
+            raise ValueError(
+                f"bandwidth = {self.bandwidth:g} Hz, but {self.subcarriers} pilots, each {self.comb}th of a spacing of "
+                f"{self.subcarrier_spacing:g} Hz, span {spanned:.4g} Hz; give the one or the others"
+            )
+        return self
 
 
 class TrackConfig(Frozen):
@@ -241,6 +255,7 @@ class Scenario(Frozen):
     belief: BeliefConfig = BeliefConfig()
     dataset: DatasetConfig | None = None
     _folder: Path | None = PrivateAttr(default=None)
+    _derived: dict[str, dict] = PrivateAttr(default_factory=dict)  # section → key → value that nobody gave
 
     @model_validator(mode="after")
     def _distinct_points(self):
@@ -264,6 +279,11 @@ class Scenario(Frozen):
                 f"base_station.array; at most {LARGEST_SNAPSHOT:.0e} and {LARGEST_ARRAY} fit in memory"
             )
         return self
+
+    @property
+    def derived(self) -> dict[str, dict]:
+        """Section → key → value of what was not given and follows from the rest (:mod:`dopslam.config.fitted`)."""
+        return self._derived
 
     @property
     def scene_file(self) -> Path | None:
@@ -330,10 +350,13 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
         _apply(tree, override)
     tree = filled(tree)
     try:
-        scenario = Scenario.model_validate(tree)
+        given = Scenario.model_validate(tree)
+        derived = fitted(given)
+        full = {k: getattr(given, k).model_copy(update=v) for k, v in derived.items()}
+        scenario = Scenario.model_validate(given.model_copy(update=full).model_dump()) if full else given
     except ValidationError as error:
-        raise ConfigError(f"{source}: {_sentence(error)}") from error
-    scenario._folder = folder
+        raise ConfigError(f"{source}: {sentence(error, Scenario)}") from error
+    scenario._folder, scenario._derived = folder, derived
     return scenario
 
 
@@ -356,39 +379,3 @@ def _apply(tree: dict, text: str) -> None:
         node[last] = tomllib.loads(f"value = {value.strip()}")["value"]
     except (tomllib.TOMLDecodeError, RecursionError):
         node[last] = value.strip()
-
-
-def _fields_at(loc: tuple) -> list[str]:
-    """Names of the keys allowed beside the last part of an error's location."""
-    model: Any = Scenario
-    for part in loc[:-1]:
-        if isinstance(model, type) and issubclass(model, BaseModel) and part in model.model_fields:
-            model = _inner_model(model.model_fields[part].annotation, loc)
-    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
-
-
-def _inner_model(annotation: Any, loc: tuple) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    candidates = [m for arg in getattr(annotation, "__args__", ()) if (m := _inner_model(arg, loc)) is not None]
-    tagged = [m for m in candidates if "kind" in m.model_fields and m.model_fields["kind"].default in loc]
-    return (tagged or candidates or [None])[0]
-
-
-_TAGS = {"cylinder", "planar", "custom", "motion", "line", "circle", "drive"}  # of unions
-
-
-def _sentence(error: ValidationError) -> str:
-    first = error.errors()[0]
-    loc = tuple(first["loc"])
-    key = ".".join(str(part) for part in loc if part not in _TAGS or part == loc[-1])
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    if first["type"] == "extra_forbidden":
-        allowed = _fields_at(loc)
-        near = difflib.get_close_matches(str(loc[-1]), allowed, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(allowed)}"
-        return f"unknown key {key!r}; {hint}{more}"
-    if first["type"] == "missing":
-        return f"key {key!r} is missing{more}"
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{key or 'scenario'} = {first['input']!r}: {message}{more}" if key else f"{message}{more}"

@@ -50,14 +50,7 @@ def radio(rng: np.random.Generator, bands: Sequence[Band], carrier: float | None
     band = one_of(rng, bands)
     if carrier is not None:
         band = min(bands, key=lambda b: abs(np.log(b.carrier / carrier)))
-    spacing = 30e3 if band.carrier < 10e9 else 120e3
-    pilots = 800 if band.carrier < 10e9 else 400
-    return {
-        "carrier_frequency": carrier or band.carrier,
-        "subcarriers": pilots,
-        "subcarrier_spacing": spacing,
-        "comb": max(1, round(band.bandwidth / (pilots * spacing))),
-    }
+    return {"carrier_frequency": carrier or band.carrier, "bandwidth": band.bandwidth}
 
 
 def arrays(rng: np.random.Generator) -> tuple[dict, dict]:
@@ -90,8 +83,7 @@ def track(rng: np.random.Generator, starts, boxes: Sequence[Box], inside, cleara
     starts : rng → (3,) x, y [m] and heading [rad] of a try
     inside : places (N, 2) → whether a drive may go there
     clearance : m
-    drive : ranges of ``speed`` [m/s] and ``turn_rate`` [rad/s], ``period`` [s], ``steps`` (range), ``bias`` [m],
-        ``process_std``
+    drive : ranges of ``speed`` [m/s] and ``turn_rate`` [rad/s], ``period`` [s], ``steps`` (range), ``bias`` [m]
     """
     for _ in range(TRIES):
         start, speed = np.asarray(starts(rng)), within(rng, drive["speed"])
@@ -104,7 +96,6 @@ def track(rng: np.random.Generator, starts, boxes: Sequence[Box], inside, cleara
                 "period": drive["period"],
                 "steps": steps,
                 "start": [*(round(float(v), 4) for v in start), float(one_of(rng, drive["bias"]))],
-                "process_std": list(drive["process_std"]),
             }
     raise NoRoom
 

@@ -62,9 +62,8 @@ def indoor(rng: np.random.Generator, carrier: float | None, options: dict, style
 
     drive = {
         "speed": style.speed, "turn_rate": style.turn_rate, "period": 0.2, "steps": (40, 60), "bias": (0.0, 10.0, 30.0),
-        "process_std": (0.02, 0.02, 0.005, 0.02),
     }  # fmt: skip
-    walk = draw.track(rng, starts, things, inside, style.clearance, drive)
+    walk = draw.track(rng, starts, things, inside, style.clearance, drive) | {"start_std": [0.1, 0.1, 0.0052, 0.3]}
     way = draw.turn(np.array(walk["start"]), walk["speed"], walk["turn_rate"], walk["period"], walk["steps"])
 
     def place(rng):

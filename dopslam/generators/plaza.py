@@ -42,7 +42,6 @@ def plaza(rng: np.random.Generator, carrier: float | None, options: dict) -> Gen
 
     drive = {
         "speed": (3.0, 8.0), "turn_rate": (-0.2, 0.2), "period": 0.2, "steps": (40, 60), "bias": (0.0, 20.0, 60.0),
-        "process_std": (0.05, 0.05, 0.002, 0.05),
     }  # fmt: skip
     road = draw.track(rng, starts, boxes, lambda p: np.hypot(*p.T).max() < 0.95 * radius, 2.0, drive)
     way = draw.turn(np.array(road["start"]), road["speed"], road["turn_rate"], road["period"], road["steps"])

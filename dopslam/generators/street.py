@@ -39,7 +39,6 @@ def street(rng: np.random.Generator, carrier: float | None, options: dict) -> Ge
 
     drive = {
         "speed": (5.0, 13.0), "turn_rate": (-0.01, 0.01), "period": 0.2, "steps": (40, 60), "bias": (0.0, 20.0, 60.0),
-        "process_std": (0.05, 0.05, 0.001, 0.05),
     }  # fmt: skip
     road = draw.track(
         rng, starts, houses, lambda p: np.all((np.abs(p[:, 1]) < width / 2 - 2) & (np.abs(p[:, 0]) < 0.6 * length)), 2.0,
