@@ -1,0 +1,228 @@
+"""Detections of a run as rows of a least-squares problem: whitened residuals and Jacobians of `models.measurement`.
+
+A row that was not measured has infinite variance and leaves; so do the two rows of departure where a path's departure
+is not explained (more than one reflection: kind BARE). Steps are counted from 0 and poses from the prior's, so that
+step k is seen from pose k + 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.models.measurement import BS, SP, VA, jacobians, measure, positions, residual, wrap
+from dopslam.models.scans import Scans
+from dopslam.slam.snapshot.rays import directions
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BARE = 3  # a virtual anchor of several reflections: its departure is not explained
+KINDS = (VA, SP, BARE)
+DEPARTURE = [3, 4]
+SPANS = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])  # of angles; of delay and Doppler set per run
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """Landmarks; the first ones are the base stations themselves.
+
+    Attributes
+    ----------
+    kind : (J,) int array; BS, VA, SP or BARE
+    position : (J, 3) array [m]
+    station : (J,) int array; base station whose paths go over the landmark
+    covariance : (J, 3, 3) array [m²]; zero for base stations
+    """
+
+    kind: Index
+    position: Array
+    station: Index
+    covariance: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def take(self, chosen) -> Map:
+        """Some landmarks."""
+        return Map(self.kind[chosen], self.position[chosen], self.station[chosen], self.covariance[chosen])
+
+    def joined(self, other: Map) -> Map:
+        """These landmarks and others after them."""
+        mine, theirs = (
+            (m.kind, m.position, m.station, m.covariance) for m in (self, other)
+        )  # fmt: skip
+        return Map(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """All detections of a run.
+
+    Attributes
+    ----------
+    z : (N, 6), covariance : (N, 6, 6); as `Scans`, unmeasured rows with unit variance and nothing beside it
+    used : (N, 6) bool; rows that were measured
+    step : (N,) int, offsets : (K + 1,) int
+    station : (N,) int; base station of each detection
+    stations : (A, 3) array [m]
+    height, speed : the receiver's plane [m], and its speed [m/s] where it is not in the state
+    spans : (6,) array; width of what each row can take [m, rad ×4, m/s]
+    clutter : false detections per scan that are thought possible
+    """
+
+    z: Array
+    covariance: Array
+    used: NDArray[np.bool_]
+    step: Index
+    offsets: Index
+    station: Index
+    stations: Array
+    height: float
+    speed: float
+    spans: Array
+    clutter: float
+
+    @property
+    def steps(self) -> int:
+        """Number of scans K."""
+        return len(self.offsets) - 1
+
+    def used_by(self, rows: Index, kind: Index) -> NDArray[np.bool_]:
+        """(M, 6) rows that say something about a landmark of a kind."""
+        used = self.used[rows].copy()
+        used[:, DEPARTURE] &= (kind != BARE)[:, None]
+        return used
+
+    def uniform(self, rows: Index, used: NDArray[np.bool_]) -> Array:
+        """log of the density of rows (M, 6) that nothing explains: uniform over what each can take."""
+        return -np.where(used, np.log(self.spans), 0.0).sum(axis=1)
+
+    def false(self, rows: Index) -> Array:
+        """log intensity of false detections at each of them."""
+        return np.log(self.clutter) + self.uniform(rows, self.used[rows])
+
+
+def rows_of(
+    scans: Scans, stations: Array, height: float, speed: float, *, doppler: bool = True, planar: bool = False
+) -> Rows:
+    """Scans as rows; `planar` leaves out the elevations, and without `doppler` the radial velocities stay out."""
+    variance = np.einsum("nii->ni", scans.covariance)
+    used = np.isfinite(variance)
+    used[:, 5] &= doppler
+    if planar:
+        used[:, [2, 4]] = False
+    both = used[:, :, None] & used[:, None, :]
+    spans = SPANS.copy()
+    spans[0] = max(scans.search_volume / (scans.doppler_span * (2 * np.pi**2) ** 2), 1e-3)
+    spans[5] = scans.doppler_span
+    stations = np.array(np.atleast_2d(stations), float)
+    if planar:
+        stations[:, 2] = height
+    return Rows(
+        z=np.where(used, scans.z, 0.0),
+        covariance=np.where(both, scans.covariance, np.eye(6)),
+        used=used,
+        step=scans.step_of_row,
+        offsets=scans.offsets,
+        station=np.asarray(scans.anchor),
+        stations=stations,
+        height=height,
+        speed=speed,
+        spans=spans,
+        clutter=max(scans.clutter_count, 0.5),
+    )
+
+
+def masked(matrix: Array, used: NDArray[np.bool_]) -> Array:
+    """Matrices (M, 6, 6) with unit rows in place of those not used."""
+    both = used[:, :, None] & used[:, None, :]
+    return np.where(both, matrix, np.eye(6))
+
+
+def predict(data: Rows, state: Array, kind: Index, position: Array, station: Index) -> Array:
+    """h(s, x) (…, 6) of states (…, n) and landmarks."""
+    return measure(
+        state, position, np.where(kind == BARE, VA, kind), data.stations[station], speed=data.speed, height=data.height
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Residuals (M, 6) and Jacobians (M, 6, n), (M, 6, 3), zero in rows that are not used, and which are used."""
+
+    error: Array
+    by_state: Array
+    by_point: Array
+    used: NDArray[np.bool_]
+
+    def spread(self, state: Array, point: Array | None = None) -> Array:
+        """A P Aᵀ + B P_x Bᵀ (M, 6, 6) of covariances (M, n, n) and (M, 3, 3)."""
+        total = self.by_state @ state @ np.swapaxes(self.by_state, 1, 2)
+        return total if point is None else total + self.by_point @ point @ np.swapaxes(self.by_point, 1, 2)
+
+
+def linearize(data: Rows, rows: Index, state: Array, kind: Index, position: Array) -> Linear:
+    """Residuals and Jacobians of detections `rows` (M,) seen from states (M, n) over landmarks (M, 3) of kinds (M,)."""
+    used, law = data.used_by(rows, kind), np.where(kind == BARE, VA, kind)
+    bs, options = data.stations[data.station[rows]], {"speed": data.speed, "height": data.height}
+    error = residual(data.z[rows], measure(state, position, law, bs, **options))
+    by_state, by_point = jacobians(state, position, law, bs, **options)
+    return Linear(
+        np.where(used, error, 0.0),
+        np.where(used[..., None], by_state, 0.0),
+        np.where(used[..., None], by_point, 0.0),
+        used,
+    )
+
+
+def whitened(covariance: Array, *columns: Array) -> tuple[Array, ...]:
+    """L⁻¹ times each of the columns, LLᵀ = covariance (M, 6, 6), and log |covariance| last."""
+    factor = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(factor)
+    logs = 2 * np.log(np.einsum("nii->ni", factor)).sum(axis=1)
+    return *(inverse @ c if c.ndim == 3 else np.einsum("nij,nj->ni", inverse, c) for c in columns), logs
+
+
+def place(data: Rows, rows: Index, state: Array, kind: Index) -> tuple[Array, NDArray[np.bool_]]:
+    """Landmarks (M, 3) that single detections stand for, and whether they can exist.
+
+    A virtual anchor lies along the arrival as far as the path is long; a scatter point where the arrival and the
+    departure each find it, in the middle.
+    """
+    z, bs = data.z[rows], data.stations[data.station[rows]]
+    ue = positions(state, data.height)
+    flat = ~data.used[rows, 2]
+    arrival = directions(z[:, 1] + state[:, 2], np.where(flat, 0.0, z[:, 2]))[0]
+    departure = directions(z[:, 3], np.where(flat, 0.0, z[:, 4]))[0]
+    length, w = z[:, 0] - state[:, 3], bs - ue
+    w[flat, 2] = 0.0
+    direct = np.linalg.norm(w, axis=1)
+    square = length**2 - direct**2
+    near = 0.5 * square / np.maximum(length - np.sum(w * arrival, axis=1), 1e-9)
+    far = 0.5 * square / np.maximum(length + np.sum(w * departure, axis=1), 1e-9)
+    first, second = ue + near[:, None] * arrival, bs + far[:, None] * departure
+    point = np.where(data.used[rows, 3:4], 0.5 * (first + second), first)
+    anchor = ue + length[:, None] * arrival
+    found = np.where((kind == SP)[:, None], point, anchor)
+    found[flat, 2] = np.where(kind[flat] == SP, data.height, bs[flat, 2])
+    return found, (length > direct * (1 - 1e-6)) & (length > 0)
+
+
+__all__ = [
+    "BARE",
+    "BS",
+    "KINDS",
+    "SP",
+    "VA",
+    "Linear",
+    "Map",
+    "Rows",
+    "linearize",
+    "place",
+    "predict",
+    "rows_of",
+    "wrap",
+]
