@@ -8,6 +8,7 @@ import numpy as np
 
 from dopslam.config.belief import BeliefConfig
 from dopslam.config.scenario import Scenario
+from dopslam.models import ambiguity
 from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans, from_detections
@@ -100,10 +101,23 @@ def doppler_limit(scenario: Scenario) -> float:
     return scenario.track.speed if moving else scenario.estimator.max_radial_velocity
 
 
+def unwrapped(scenario: Scenario, detections: DetectionSeries) -> DetectionSeries:
+    """The detections with every delay in the turn of the link's range that the prior says.
+
+    A start from the scans alone knows nothing of the receiver; then the delays themselves say where they begin, and the
+    scenario's clock bias only which of the turns is meant, which nothing else could say.
+    """
+    mean, covariance = prior(scenario)
+    if scenario.filter.start == "snapshot":
+        covariance = covariance + np.diag([1.0, 1.0, 0.0, 1.0]) * ambiguity.UNKNOWN**2
+    station = np.array(scenario.base_station.position)
+    return ambiguity.unwrapped(detections, (mean, covariance), motion(scenario), station, scenario.receiver.height)
+
+
 def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
     """Detections of a run as the filters read them."""
     yaw = np.deg2rad(scenario.base_station.yaw_deg)
-    return from_detections(detections, bs_yaw=yaw, doppler_span=2 * doppler_limit(scenario))
+    return from_detections(unwrapped(scenario, detections), bs_yaw=yaw, doppler_span=2 * doppler_limit(scenario))
 
 
 def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:

@@ -300,6 +300,7 @@ class DetectionSeries(Ragged):
     anchor : (N,) int, base station of each detection; 0 where it is not said
     flags : (N,) int, bits of ``estimation.Flag``: what to mind about a detection; 0 where nothing is said
     time : (K,) s of every snapshot, rising; None: one period of the scenario apart
+    delay_range : s, delays are known modulo this (the inverse of the pilots' spacing); inf: they are as they are
     """
 
     PER_STEP = ("noise_variance", "time")
@@ -319,8 +320,11 @@ class DetectionSeries(Ragged):
     anchor: np.ndarray = field(default_factory=lambda: ABSENT)
     flags: np.ndarray = field(default_factory=lambda: ABSENT)
     time: np.ndarray | None = None
+    delay_range: float = np.inf
 
     def __post_init__(self):
+        if not self.delay_range > 0:
+            raise DopslamError(f"DetectionSeries.delay_range is {self.delay_range} s; give a positive time, or inf")
         rows = len(self.delay)
         fill_absent(self, ("anchor", "flags"), rows)
         columns = ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr", "anchor", "flags")

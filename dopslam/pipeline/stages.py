@@ -241,6 +241,7 @@ def stack_detections(scenario: Scenario, snapshots: list, time: np.ndarray | Non
         false_alarm_rate=scenario.estimator.false_alarm_rate,
         search_volume=unmeasured.volume(widths * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1], missing),
         time=time,
+        delay_range=model.waveform.max_delay or np.inf,
     )
 
 
@@ -304,6 +305,7 @@ def slam(
         If the detections cannot be filtered.
     """
     density = density or scenario.filter.density
+    detections = build.unwrapped(scenario, detections)
     scans = build.scans(scenario, detections)
     start = build.start(scenario, scans, doppler)
     if density == "bp":

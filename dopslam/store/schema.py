@@ -38,7 +38,7 @@ DESCRIPTIONS = {
     ("Paths", "a"): "amplitude in Sionna's convention, without exp(-2j pi f_c tau), isotropic vertical elements",
     ("Paths", "doppler"): "positive when approaching",
     ("Paths", "anchor"): "row of base_stations",
-    ("DetectionSeries", "delay"): "as measured: geometric delay plus clock bias / c",
+    ("DetectionSeries", "delay"): "as measured: geometric delay plus clock bias / c, modulo delay_range",
     ("DetectionSeries", "radial_velocity"): "positive when approaching",
     ("DetectionSeries", "anchor"): "row of base_stations",
     ("DetectionSeries", "flags"): "bits: 1 close pair, 2 edge of view, 4 weak, 8 singular",

@@ -113,7 +113,7 @@ def filter_of(
 
     samples : number of samples N_s behind the SNR
     """
-    lengths = SPEED_OF_LIGHT * series.delay
+    lengths = SPEED_OF_LIGHT * series.delay - float(setup.mean[3])  # without the clock bias, as far as it is known
     end = float(1.2 * np.max(lengths, initial=1.0))
     assumptions = setup.assumptions
     if len(series.snr) == 0 or np.ptp(series.snr) == 0:  # drawn from a model without amplitudes
@@ -124,12 +124,11 @@ def filter_of(
         threshold = float(np.sqrt(min(series.threshold, series.snr.min())))
         amplitude_end = 2 * max(float(np.sqrt(series.snr.max())), threshold)
         amplitude = AmplitudeModel(threshold, samples, setup.false_alarm_tail, amplitude_end)
-    reach = max(end - abs(float(setup.mean[3])), 1.0)
     parameters = Parameters(
         **asdict(assumptions),
         anchor=np.asarray(setup.anchor, float) * (1.0 if setup.spatial else np.array([1.0, 1.0, 0.0])),
         amplitude=amplitude,
-        volume=(2 * reach) ** (3 if setup.spatial else 2),
+        volume=(2 * end) ** (3 if setup.spatial else 2),
         amplitude_end=amplitude_end,
         false_alarm_rate=max(series.false_alarm_rate, 1e-3),
         distance_end=end,
