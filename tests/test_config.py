@@ -1,8 +1,12 @@
 """Scenario files: what is read back, and the one line that each mistake gets."""
 
+from types import UnionType
+from typing import Annotated, Literal, Union, get_args, get_origin
+
 import pytest
 
-from dopslam.config.scenario import find_scenario, load, override, parse, shipped_scenes
+from dopslam.config.scenario import Scenario, find_scenario, load, override, parse, shipped_scenes
+from dopslam.config.sentences import models_in
 from dopslam.errors import ConfigError
 
 
@@ -64,3 +68,59 @@ def test_a_missing_key_is_named(tmp_path):
     (tmp_path / "scenario.toml").write_text('name = "x"\n[scene]\nfile = "scene.xml"\n')
     with pytest.raises(ConfigError, match="base_station"):
         load(tmp_path)
+
+
+def numbers_without_range(annotation, metadata=()):
+    """Numbers inside an annotation that are not bounded on both sides."""
+    if get_origin(annotation) is Annotated:
+        first, *more = get_args(annotation)
+        return numbers_without_range(first, (*more, *metadata))
+    if annotation in (int, float):
+        bounds = [inner for item in metadata for inner in (getattr(item, "metadata", None) or [item])]
+        low = any(getattr(b, n, None) is not None for b in bounds for n in ("ge", "gt"))
+        high = any(getattr(b, n, None) is not None for b in bounds for n in ("le", "lt"))
+        return 0 if low and high else 1
+    if get_origin(annotation) in (Literal, dict):
+        return 0
+    own = metadata if get_origin(annotation) in (Union, UnionType) else ()
+    return sum(numbers_without_range(part, own) for part in get_args(annotation))
+
+
+def models_of(model):
+    yield model
+    for field in model.model_fields.values():
+        for inner in models_in(field.annotation):
+            yield from models_of(inner)
+
+
+def test_every_number_has_a_range_and_every_list_an_end():
+    seen = {}
+    for model in models_of(Scenario):
+        for name, field in model.model_fields.items():
+            seen[f"{model.__name__}.{name}"] = numbers_without_range(field.annotation, tuple(field.metadata))
+    assert len(seen) > 100
+    assert [key for key, count in seen.items() if count] == []
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("dataset.tracks={kind='line',ends=[[0,0],[1,nan]]}", ["dataset.tracks.ends.1.1 = nan"]),
+        ("dataset.tracks={kind='file'}", ["'dataset.tracks.file' is missing"]),
+        ("dataset.tracks={kind='drive',polygon=[[0,0],[1,0],[1,1]],speed=[3,1]}", ["speed = [3.0, 1.0]"]),
+        ("dataset.steps=99999999", ["dataset.steps = 99999999"]),
+        ("trace.samples=1000000000", ["trace.samples"]),
+        ("evaluation.gospa_order=500", ["evaluation.gospa_order"]),
+        ("source.model.range_std=1e-300", ["source.model.range_std"]),
+        ("source.model.clutter_rate=1e9", ["source.model.clutter_rate"]),
+        ("radio.subcarrier_spacing=1e12", ["radio.subcarrier_spacing", "radio.carrier_frequency"]),
+        ("track.speed=" + "9" * 9000, ["track.speed", "(9002 characters)"]),
+        ("title=" + "9" * 3000, ["title", "(3000 characters)"]),
+    ],
+)
+def test_a_value_out_of_its_range_is_named_by_the_key_that_was_written(setting, words):
+    with pytest.raises(ConfigError) as caught:
+        load("ring_road", [setting])
+    for word in words:
+        assert word in str(caught.value)
+    assert len(str(caught.value)) < 600

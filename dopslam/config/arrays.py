@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from dopslam.config.types import Count, Frozen, Positive, Vector3
+from dopslam.config.types import Count, Frozen, Vector3
 
+LARGEST_ARRAY = 4096  # elements
+Wavelengths = Annotated[float, Field(ge=1e-3, le=1e4)]
 # Of the elements: the same all round, a patch (cosine about its own outward direction), or a dipole along z.
 Pattern = Literal["isotropic", "cosine", "dipole"]
 
@@ -18,7 +20,7 @@ class CylinderArray(Frozen):
     kind: Literal["cylinder"] = "cylinder"
     columns: Count
     rings: Count
-    spacing_wavelengths: Positive = 0.5  # along the ring (chord) and between the rings
+    spacing_wavelengths: Wavelengths = 0.5  # along the ring (chord) and between the rings
     pattern: Pattern = "isotropic"
 
 
@@ -32,7 +34,7 @@ class PlanarArray(Frozen):
     kind: Literal["planar"] = "planar"
     columns: Count
     rows: Count
-    spacing_wavelengths: Positive = 0.5
+    spacing_wavelengths: Wavelengths = 0.5
     pattern: Pattern = "cosine"
 
 
@@ -40,13 +42,10 @@ class CustomArray(Frozen):
     """Arbitrary element positions in wavelengths, in the array's frame."""
 
     kind: Literal["custom"] = "custom"
-    positions_wavelengths: tuple[Vector3, ...] = Field(min_length=1)
+    positions_wavelengths: tuple[Vector3, ...] = Field(min_length=1, max_length=LARGEST_ARRAY)
 
 
 ArrayConfig = Annotated[CylinderArray | PlanarArray | CustomArray, Field(discriminator="kind")]
-
-
-LARGEST_ARRAY = 4096  # elements
 
 
 def elements(array: CylinderArray | PlanarArray | CustomArray) -> int:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from dopslam.config.types import Frozen
+from dopslam.config.types import Count, Frozen, Positive, Vector2
 
-Point = tuple[float, float]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
+Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # m
+Moving = Annotated[float, Field(ge=1e-6, le=1e5)]  # m/s
 
 
 class MotionTracks(Frozen):
@@ -28,25 +27,31 @@ class LineTracks(Frozen):
     """To and fro between two points, from a random place on the line in a random direction."""
 
     kind: Literal["line"]
-    ends: tuple[Point, Point]  # m
+    ends: tuple[Vector2, Vector2]  # m
 
 
 class CircleTracks(Frozen):
     """Around a center, from a random place in a random direction."""
 
     kind: Literal["circle"]
-    center: Point = (0.0, 0.0)  # m
-    radius: Positive  # m
+    center: Vector2 = (0.0, 0.0)  # m
+    radius: Length  # m
 
 
 class DriveTracks(Frozen):
     """Smooth random drives that never leave a polygon."""
 
     kind: Literal["drive"]
-    polygon: Annotated[tuple[Point, ...], Field(min_length=3)]  # m, corners in order
-    speed: tuple[Positive, Positive] | None = None  # m/s, least and largest; None: track.speed
-    turn_rate: Positive = 0.6  # rad/s, largest
-    restlessness: Annotated[float, Field(ge=0)] = 0.2  # rad/s per √s, by which the turn rate walks
+    polygon: Annotated[tuple[Vector2, ...], Field(min_length=3, max_length=10_000)]  # m, corners in order
+    speed: tuple[Moving, Moving] | None = None  # m/s, least and largest; None: track.speed
+    turn_rate: Annotated[float, Field(ge=1e-9, le=100)] = 0.6  # rad/s, largest
+    restlessness: Annotated[float, Field(ge=0, le=100)] = 0.2  # rad/s per √s, by which the turn rate walks
+
+    @model_validator(mode="after")
+    def _least_first(self):
+        if self.speed is not None and self.speed[0] > self.speed[1]:
+            raise ValueError(f"speed = {list(self.speed)}: the least comes after the largest")
+        return self
 
 
 class FileTracks(Frozen):

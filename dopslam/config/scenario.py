@@ -9,7 +9,6 @@ angles without a suffix are radians.
 from __future__ import annotations
 
 import difflib
-import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,25 +16,36 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from dopslam.config.arrays import LARGEST_ARRAY, ArrayConfig, elements
+from dopslam.config import sizes
+from dopslam.config.arrays import ArrayConfig
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
 from dopslam.config.drives import DatasetConfig
 from dopslam.config.fitted import fitted
 from dopslam.config.generated import filled
 from dopslam.config.sentences import sentence
 from dopslam.config.types import (
-    LARGEST_SNAPSHOT,
+    Chance,
     Coordinate,
     Count,
+    Decibel,
+    Deviation,
+    Few,
     Frozen,
+    Hertz,
     NonNegative,
     Positive,
     Probability,
+    Rate,
+    Seconds,
     Seed,
+    Speed,
     Vector3,
     Vector4,
 )
 from dopslam.errors import ConfigError
+
+Deviations = tuple[Deviation, Deviation, Deviation, Deviation]
+Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 
 class Scene(Frozen):
@@ -88,12 +98,12 @@ class Beams(Frozen):
 class Radio(Frozen):
     """Waveform and beam schedule of one snapshot (paper A, eq. 2)."""
 
-    carrier_frequency: Positive = 28e9  # Hz
-    bandwidth: Positive | None = None  # Hz, from which the pilots follow where they are not given
+    carrier_frequency: Hertz = 28e9  # Hz
+    bandwidth: Hertz | None = None  # Hz, from which the pilots follow where they are not given
     subcarriers: Count = 400  # occupied pilots
-    subcarrier_spacing: Positive = 120e3  # Hz
+    subcarrier_spacing: Hertz = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
-    symbol_period: Positive = 35.68e-6  # s, between the symbols used
+    symbol_period: Seconds = 35.68e-6  # s, between the symbols used
     subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
 
@@ -112,13 +122,13 @@ class Radio(Frozen):
 class TrackConfig(Frozen):
     """Coordinated turn of paper A, eq. (1); a turn rate of zero is a straight line."""
 
-    speed: NonNegative  # m/s
-    turn_rate: Annotated[float, Field(ge=-100, le=100)] = 0.0  # rad/s
-    period: Positive = 0.5  # s
+    speed: Speed  # m/s
+    turn_rate: Rate = 0.0  # rad/s
+    period: Seconds = 0.5  # s
     steps: Count = 40
     start: Vector4  # x m, y m, heading rad, clock bias m: mean of the receiver's initial knowledge
-    start_std: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.3, 0.3, 0.0052, 0.3)
-    process_std: tuple[NonNegative, NonNegative, NonNegative, NonNegative] = (0.2, 0.2, 0.001, 0.2)  # per step
+    start_std: Deviations = (0.3, 0.3, 0.0052, 0.3)
+    process_std: Deviations = (0.2, 0.2, 0.001, 0.2)  # per step
     random: bool = True  # draw start and process noise; False: exactly the nominal track
 
     @field_validator("start", mode="before")
@@ -143,19 +153,19 @@ class Trace(Frozen):
     """Settings of the ray tracer."""
 
     max_depth: Annotated[int, Field(ge=1, le=5)] = 1
-    samples: Annotated[int, Field(ge=1000)] = 200_000  # rays launched
+    samples: Annotated[int, Field(ge=1000, le=10_000_000)] = 200_000  # rays launched
     seed: Seed = 1
 
 
 class SourceModel(Frozen):
     """Detections drawn from the measurement model, as in paper A, Section V."""
 
-    range_std: Positive = 0.1  # m
-    angle_std: Positive = 0.05  # rad
-    doppler_std: Positive = 0.1  # m/s
-    detection_probability: Annotated[float, Field(gt=0, le=1)] = 0.9
+    range_std: Spread = 0.1  # m
+    angle_std: Spread = 0.05  # rad
+    doppler_std: Spread = 0.1  # m/s
+    detection_probability: Chance = 0.9
     sp_range: Positive | None = 50.0  # m, a scatter point is visible within; None: everywhere
-    clutter_rate: NonNegative = 1.0  # false detections per scan
+    clutter_rate: Annotated[float, Field(ge=0, le=1e4)] = 1.0  # false detections per scan
     clutter_range: Positive = 300.0  # m, clutter delays lie within [bias, bias + this]
     virtual_anchors: tuple[Vector3, ...] = ()  # m; without a trace the walls have to be named by their VAs
 
@@ -163,9 +173,9 @@ class SourceModel(Frozen):
 class SourceTraced(Frozen):
     """Detections estimated from the synthesized signal of a traced scene."""
 
-    transmit_power_dbm: Annotated[float, Field(ge=-300, le=300)] = 0.0  # over all pilots together
+    transmit_power_dbm: Decibel = 0.0  # over all pilots together
     noise_figure_db: Annotated[float, Field(ge=-50, le=200)] = 7.0
-    temperature: Positive = 290.0  # K
+    temperature: Annotated[float, Field(ge=1e-3, le=1e6)] = 290.0  # K
     added_noise: Literal["none", "model"] = "none"  # "model": blur the detections by the R of [source.model]
 
 
@@ -182,9 +192,9 @@ class Estimator(Frozen):
 
     kind: str = "nomp"  # a name of estimation.estimators.ESTIMATORS, or an own "module:Class" or "file.py:Class"
     options: dict[str, Any] = Field(default={})  # further options of this kind, by the names of its signature
-    false_alarm_rate: Annotated[float, Field(gt=0, lt=1)] = 0.01  # expected false paths per snapshot
-    max_radial_velocity: Positive = 25.0  # m/s, searched on both sides of zero
-    max_paths: Count = 30
+    false_alarm_rate: Annotated[float, Field(ge=1e-12, lt=1)] = 0.01  # expected false paths per snapshot
+    max_radial_velocity: Annotated[float, Field(ge=1e-3, le=1e5)] = 25.0  # m/s, searched on both sides of zero
+    max_paths: Few = 30
     dense_multipath: bool = False  # estimate the dense part's delay profile and whiten with it
 
     @field_validator("kind")
@@ -231,7 +241,7 @@ class Evaluation(Frozen):
     """How a map is judged."""
 
     gospa_cutoff: Positive = 20.0  # m
-    gospa_order: Annotated[float, Field(ge=1)] = 2.0
+    gospa_order: Annotated[float, Field(ge=1, le=10)] = 2.0
     found_radius: Positive = 3.0  # m
 
 
@@ -265,19 +275,8 @@ class Scenario(Frozen):
         return self
 
     @model_validator(mode="after")
-    def _fits_in_memory(self):
-        radio = self.radio
-        factors = {
-            "radio.subcarriers": radio.subcarriers, "radio.beams.beams": radio.beams.beams,
-            "radio.beams.sweeps": radio.beams.sweeps, "elements of receiver.array": elements(self.receiver.array),
-        }  # fmt: skip
-        samples = math.prod(factors.values())
-        if samples > LARGEST_SNAPSHOT or elements(self.base_station.array) > LARGEST_ARRAY:
-            said = " × ".join(f"{name} = {value}" for name, value in factors.items())
-            raise ValueError(
-                f"{said} is {samples:.3g} samples a snapshot, with {elements(self.base_station.array)} elements of "
-                f"base_station.array; at most {LARGEST_SNAPSHOT:.0e} and {LARGEST_ARRAY} fit in memory"
-            )
+    def _can_be(self):
+        sizes.refuse(self)
         return self
 
     @property
@@ -344,7 +343,7 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
     """Validate TOML text; see :func:`load`."""
     try:
         tree = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{source}: not valid TOML: {error}") from error
     for override in overrides:
         _apply(tree, override)
@@ -377,5 +376,5 @@ def _apply(tree: dict, text: str) -> None:
             raise ConfigError(f"--set {text!r}: {part!r} is not a table")
     try:
         node[last] = tomllib.loads(f"value = {value.strip()}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         node[last] = value.strip()

@@ -1,4 +1,4 @@
-"""Faults of a configuration as sentences."""
+"""What is wrong with a configuration, in one sentence that names the key with its path, its value, and the remedy."""
 
 from __future__ import annotations
 
@@ -8,37 +8,47 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 
-def _fields_at(loc: tuple, model: Any) -> list[str]:
-    """Names of the keys allowed beside the last part of an error's location."""
-    for part in loc[:-1]:
-        if isinstance(model, type) and issubclass(model, BaseModel) and part in model.model_fields:
-            model = _inner_model(model.model_fields[part].annotation, loc)
-    return list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
-
-
-def _inner_model(annotation: Any, loc: tuple) -> Any:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Models that a value of this annotation may be."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    candidates = [m for arg in getattr(annotation, "__args__", ()) if (m := _inner_model(arg, loc)) is not None]
-    tagged = [m for m in candidates if "kind" in m.model_fields and m.model_fields["kind"].default in loc]
-    return (tagged or candidates or [None])[0]
+        return [annotation]
+    return [model for part in getattr(annotation, "__args__", ()) for model in models_in(part)]
 
 
-_TAGS = {"cylinder", "planar", "custom", "motion", "line", "circle", "drive"}  # of unions
+def _walk(root: type[BaseModel], loc: tuple) -> tuple[list[str], list[str]]:
+    """Names of an error's location, the tags of unions left out, and of the keys allowed beside the last of them."""
+    annotation: Any = root
+    names, beside = [], []
+    for part in loc:
+        models = models_in(annotation)
+        tagged = [m for m in models if "kind" in m.model_fields and part in m.model_fields["kind"].annotation.__args__]  # type: ignore[union-attr]
+        if len(models) > 1 and tagged:
+            annotation = tagged[0]
+            continue
+        names.append(str(part))
+        if models and isinstance(part, str):
+            beside = list(models[0].model_fields)
+            annotation = models[0].model_fields[part].annotation if part in beside else None
+    return names, beside
 
 
-def sentence(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first fault of a validation: the key with its path, the value, and for a misspelt key the nearest right one."""
+def _shown(value: Any) -> str:
+    """A value as it may stand in one line."""
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:80]}… ({len(text)} characters)"
+
+
+def sentence(error: ValidationError, root: type[BaseModel]) -> str:
+    """What is wrong with the first wrong key of a tree that should be a ``root``: key, value, what is allowed."""
     first = error.errors()[0]
-    loc = tuple(first["loc"])
-    key = ".".join(str(part) for part in loc if part not in _TAGS or part == loc[-1])
+    names, allowed = _walk(root, tuple(first["loc"]))
+    key = ".".join(names)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
-        allowed = _fields_at(loc, model)
-        near = difflib.get_close_matches(str(loc[-1]), allowed, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(names[-1], allowed, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(allowed)}"
-        return f"unknown key {key!r}; {hint}{more}"
+        return f"unknown key {_shown(key)}; {hint}{more}"
     if first["type"] == "missing":
         return f"key {key!r} is missing{more}"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{key or 'scenario'} = {first['input']!r}: {message}{more}" if key else f"{message}{more}"
+    return f"{key} = {_shown(first['input'])}: {message}{more}" if key else f"{message}{more}"

@@ -100,7 +100,7 @@ def read_mapping(path: str | Path) -> Mapping:
     """
     try:
         tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path}: not a readable TOML mapping ({error})") from error
     measured = [*QUANTITIES, "doppler", "power", "snr"]
     allowed = {

@@ -91,7 +91,7 @@ def read_sweep(path: str | Path) -> Sweep:
     """
     try:
         tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not a readable sweep ({error})") from error
     for key, value in tree.items():
         if key not in KEYS:

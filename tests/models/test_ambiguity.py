@@ -100,7 +100,7 @@ def test_a_start_from_nothing_takes_the_turn_of_the_scenario_and_no_more():
     track, _, absolute = pipeline.simulate(scenario, 4)
     span = RING / SPEED_OF_LIGHT
     wrapped = replace(absolute, delay=absolute.delay % span, delay_range=span)
-    assert np.ptp((absolute.delay // span)) > 0  # they lie across the end of the range
+    assert np.ptp(absolute.delay // span) > 0  # they lie across the end of the range
     blind = load("ring_road", [*settings, 'filter.start="snapshot"'])
     history = pipeline.slam(blind, wrapped)
     assert np.linalg.norm(history.mean[:, :2] - track.position[:, :2], axis=1).max() < 3.0

@@ -1,0 +1,40 @@
+"""Whether what a scenario's numbers ask for together can exist and fits in memory."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from dopslam.config.arrays import LARGEST_ARRAY, elements
+
+if TYPE_CHECKING:
+    from dopslam.config.scenario import Scenario
+
+LARGEST_SNAPSHOT = 50_000_000  # samples, 0.4 GB
+
+
+def refuse(scenario: Scenario) -> None:
+    """Raise ValueError, which names the keys and the limit, for what cannot be."""
+    radio, station = scenario.radio, elements(scenario.base_station.array)
+    factors = {
+        "radio.subcarriers": radio.subcarriers, "radio.beams.beams": radio.beams.beams,
+        "radio.beams.sweeps": radio.beams.sweeps, "elements of receiver.array": elements(scenario.receiver.array),
+    }  # fmt: skip
+    samples = math.prod(factors.values())
+    if samples > LARGEST_SNAPSHOT or station > LARGEST_ARRAY:
+        said = " × ".join(f"{name} = {value}" for name, value in factors.items())
+        raise ValueError(
+            f"{said} is {samples:.3g} samples a snapshot, with {station} elements of base_station.array; at most "
+            f"{LARGEST_SNAPSHOT:.0e} and {LARGEST_ARRAY} fit in memory"
+        )
+    if radio.beams.beams * station > LARGEST_SNAPSHOT:
+        raise ValueError(
+            f"radio.beams.beams = {radio.beams.beams} beams of {station} elements are more than {LARGEST_SNAPSHOT:.0e} "
+            "weights; they do not fit in memory"
+        )
+    band = radio.subcarriers * radio.comb * radio.subcarrier_spacing
+    if band > radio.carrier_frequency:
+        raise ValueError(
+            f"radio.subcarriers × radio.comb × radio.subcarrier_spacing is a band of {band:.3g} Hz, more than "
+            f"radio.carrier_frequency = {radio.carrier_frequency:g} Hz"
+        )
