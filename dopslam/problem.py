@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dopslam.config.belief import BeliefConfig
 from dopslam.config.scenario import Scenario
-from dopslam.models import ambiguity
-from dopslam.models.detection import ConstantDetection, DetectionModel, SnrDetection
+from dopslam.errors import ConfigError
+from dopslam.models.detection import ConstantDetection
 from dopslam.models.motion import CoordinatedTurn
-from dopslam.models.scans import Scans, from_detections
+from dopslam.models.scans import Scans
 from dopslam.records import BaseStations, DetectionSeries, Kind, Landmarks
 from dopslam.simulate.world import FixedNoise, Situation
-from dopslam.slam.belief.adapter import Setup, turning
 from dopslam.slam.belief.records import TYPES, Assumptions
-from dopslam.slam.pmb.ek_pmb import FilterParameters
-from dopslam.slam.snapshot import start as snapshot
+from dopslam.slam.filter import FILTERS, Filter, Problem
 
 
-def motion(scenario: Scenario) -> CoordinatedTurn:
-    """Coordinated turn, eq. (1), with the scenario's speed and turn rate, both known to the filter."""
+def true_motion(scenario: Scenario) -> CoordinatedTurn:
+    """Coordinated turn, eq. (1), that tracks are drawn from."""
     track = scenario.track
     return CoordinatedTurn(track.period, np.diag(np.square(track.process_std)), track.speed, track.turn_rate)
 
 
-def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
-    """Mean (4,) and covariance (4, 4) of the receiver's initial knowledge.
+def motion(scenario: Scenario) -> CoordinatedTurn:
+    """Coordinated turn, eq. (1), as the filter believes it.
+
+    Speed and turn rate are the scenario's and known, or with ``filter.motion = "unknown"`` in the state, where they
+    walk from step to step.
+    """
+    true, config = true_motion(scenario), scenario.filter
+    if config.motion == "known":
+        return true
+    walks = (config.speed_walk, config.turn_rate_walk)
+    return replace(true, process_noise=np.diag(np.square([*scenario.track.process_std, *walks])))
+
+
+def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
+    """Mean (4,) and covariance (4, 4) that the receiver's start is drawn from.
 
     ``reading`` takes ``track.start_std`` as standard deviations (``"std"``) or, paper A's Section V to the letter, as
     variances (``"var"``).
@@ -36,19 +48,13 @@ def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
     return np.array(scenario.track.start), np.diag(spread**2 if reading == "std" else spread)
 
 
-def start(scenario: Scenario, scans: Scans, doppler: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of what a filter starts from: the scenario's, or found from the scans alone.
-
-    Raises
-    ------
-    FilterError
-        If ``filter.start`` is ``"snapshot"`` and no scan tells where the receiver is.
-    """
-    if scenario.filter.start == "prior":
-        return prior(scenario)
-    bs = np.array(scenario.base_station.position)
-    found = snapshot.start(scans, motion(scenario), bs, scenario.receiver.height, doppler=doppler)
-    return found.mean, found.covariance
+def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n,) and covariance (n, n) of what a filter knows at the start; n as in :func:`motion`."""
+    (mean, covariance), track, config = start(scenario, reading), scenario.track, scenario.filter
+    if config.motion == "known":
+        return mean, covariance
+    more = [config.speed_std, config.turn_rate_std]
+    return np.append(mean, [track.speed, track.turn_rate]), block_diag(covariance, np.diag(np.square(more)))
 
 
 def base_stations(scenario: Scenario) -> BaseStations:
@@ -77,12 +83,12 @@ def measurement_std(scenario: Scenario) -> np.ndarray:
 def situation(scenario: Scenario, reading: str = "std") -> Situation:
     """The world of the model source (paper A, Section V)."""
     model, landmarks = scenario.source.model, model_landmarks(scenario)
-    mean, covariance = prior(scenario, reading)
+    mean, covariance = start(scenario, reading)
     return Situation(
         bs=np.array(scenario.base_station.position),
         kind=landmarks.kind.astype(np.int64),
         position=landmarks.position,
-        motion=motion(scenario),
+        motion=true_motion(scenario),
         prior_mean=mean,
         prior_covariance=covariance,
         steps=scenario.track.steps,
@@ -101,75 +107,91 @@ def doppler_limit(scenario: Scenario) -> float:
     return scenario.track.speed if moving else scenario.estimator.max_radial_velocity
 
 
-def unwrapped(scenario: Scenario, detections: DetectionSeries) -> DetectionSeries:
-    """The detections with every delay in the turn of the link's range that the prior says.
-
-    A start from the scans alone knows nothing of the receiver; then the delays themselves say where they begin, and the
-    scenario's clock bias only which of the turns is meant, which nothing else could say.
-    """
-    mean, covariance = prior(scenario)
-    if scenario.filter.start == "snapshot":
-        covariance = covariance + np.diag([1.0, 1.0, 0.0, 1.0]) * ambiguity.UNKNOWN**2
-    station = np.array(scenario.base_station.position)
-    return ambiguity.unwrapped(detections, (mean, covariance), motion(scenario), station, scenario.receiver.height)
-
-
 def scans(scenario: Scenario, detections: DetectionSeries) -> Scans:
     """Detections of a run as the filters read them."""
-    yaw = np.deg2rad(scenario.base_station.yaw_deg)
-    return from_detections(unwrapped(scenario, detections), bs_yaw=yaw, doppler_span=2 * doppler_limit(scenario))
+    return problem(scenario).scans(detections)
 
 
-def detection_model(scenario: Scenario, threshold: float) -> DetectionModel:
-    """p_D that follows the SNR of the detections (``threshold`` on ρ), or the constant of the model source."""
-    if scenario.source.kind == "traced":
-        return SnrDetection(threshold)
-    model = scenario.source.model
-    return ConstantDetection(model.detection_probability, model.sp_range)
-
-
-def belief_setup(scenario: Scenario, known: tuple[np.ndarray, np.ndarray] | None = None) -> Setup:
-    """What belief propagation is told: start (``known``, else the scenario's) and motion as the other filters, the rest
-    from ``[belief]``."""
-    track, belief = scenario.track, scenario.belief
-    mean, covariance = known or prior(scenario)
-    return Setup(
-        anchor=np.array(scenario.base_station.position),
-        height=scenario.receiver.height,
+def problem(scenario: Scenario, reading: str = "std") -> Problem:
+    """What every filter of this scenario is told; ``reading`` as in :func:`prior`."""
+    config, model = scenario.filter, scenario.source.model
+    mean, covariance = prior(scenario, reading)
+    drawn = scenario.source.kind == "model"
+    return Problem(
+        stations=base_stations(scenario),
         mean=mean,
         covariance=covariance,
-        motion=turning(track.period, track.turn_rate, np.array(track.process_std)),
-        speed=track.speed,
-        yaw=float(np.deg2rad(scenario.base_station.yaw_deg)),
-        assumptions=assumptions(belief, "single_bounce"),
-        false_alarm_tail=0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
-        doppler_span=2 * doppler_limit(scenario),
+        motion=motion(scenario),
+        height=scenario.receiver.height,
+        detection=ConstantDetection(model.detection_probability, model.sp_range) if drawn else None,
+        undetected=(config.intensity_va, config.intensity_sp),
+        births=(config.birth_va, config.birth_sp),
+        survival=config.survival,
+        doppler_limit=doppler_limit(scenario),
+        snapshot=config.start == "snapshot",
     )
+
+
+def told(world: Situation, scenario: Scenario | None = None, doppler_limit: float | None = None) -> Problem:
+    """The truth about a simulated world as a problem: a filter that is told it has nothing wrong but its own.
+
+    Parameters
+    ----------
+    world : what detections are drawn from
+    scenario : gives the intensities and the survival that filters assume; None: the defaults of :class:`Problem`
+    doppler_limit : m/s; default the world's
+    """
+    noise, config = world.noise, scenario.filter if scenario is not None else None
+    assumed = {} if config is None else {
+        "undetected": (config.intensity_va, config.intensity_sp),
+        "births": (config.birth_va, config.birth_sp),
+        "survival": config.survival,
+    }  # fmt: skip
+    return Problem(
+        stations=BaseStations(np.atleast_2d(np.asarray(world.bs, float)), np.zeros(1)),
+        mean=world.prior_mean,
+        covariance=world.prior_covariance,
+        motion=world.motion,
+        height=world.height,
+        detection=ConstantDetection(noise.detection_probability, noise.sp_range)
+        if isinstance(noise, FixedNoise)
+        else None,
+        doppler_limit=world.doppler_limit if doppler_limit is None else doppler_limit,
+        **assumed,
+    )
+
+
+def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = True) -> Filter:
+    """The filter of a name, with the choices of ``[filter]`` and ``[belief]`` that it has.
+
+    Parameters
+    ----------
+    name : of :data:`~dopslam.slam.filter.FILTERS`, or ``module:Class``; default the scenario's
+    doppler : whether it shall use Doppler, if it can
+
+    Raises
+    ------
+    ConfigError
+        If there is no such filter, or it has no option of ``[filter.options]``.
+    """
+    config, belief = scenario.filter, scenario.belief
+    name = name or config.density
+    kind = FILTERS[name]
+    own = {field.name for field in fields(kind)} if is_dataclass(kind) else set()
+    unknown = sorted(set(config.options) - own)
+    if unknown:
+        raise ConfigError(
+            f"filter.options.{unknown[0]}: the filter {name!r} has no such option; it has {', '.join(sorted(own)) or 'none'}"
+        )
+    values = config.model_dump(exclude={"options"}) | {
+        "assumptions": assumptions(belief, "single_bounce"),
+        "false_alarm_tail": 0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
+        "doppler": doppler,
+    }
+    return kind(**{key: value for key, value in (values | config.options).items() if key in own})
 
 
 def assumptions(belief: BeliefConfig, types: str) -> Assumptions:
     """What ``[belief]`` says about the features; ``types`` holds where it leaves them open."""
     own = {field.name for field in fields(Assumptions)} - {"types"}
     return Assumptions(types=TYPES[belief.types or types], **belief.model_dump(include=own))
-
-
-def filter_parameters(
-    scenario: Scenario, detection: DetectionModel, density: str | None = None, doppler: bool = True
-) -> FilterParameters:
-    """The filter's parameters; ``density`` overrides the scenario's ``joint`` or ``marginal``."""
-    config = scenario.filter
-    return FilterParameters(
-        joint=(density or config.density) == "joint",
-        doppler=doppler,
-        iterations=config.iterations,
-        associations=config.associations,
-        gate=config.gate,
-        survival=config.survival,
-        intensity=(config.intensity_va, config.intensity_sp),
-        prune=config.prune_existence,
-        cubature=config.linearization == "cubature",
-        reweight=config.reweight,
-        birth_intensity=(config.birth_va, config.birth_sp),
-        thinning=config.thinning,
-        detection=detection,
-    )

@@ -11,8 +11,7 @@ import json
 from dataclasses import replace
 
 from dopslam.simulate.world import section_v
-from dopslam.slam.pmb.density import FilterParameters
-from dopslam.slam.pmb.smoother import SmootherParameters
+from dopslam.slam.pmb.filters import Joint, Marginal, Smoother
 from dopslam.studies.benchmark import growth, microseconds_per_step
 from dopslam.studies.montecarlo import Study
 
@@ -22,14 +21,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     repeats = parser.parse_args().repeats
-    plain, iterated = FilterParameters(iterations=1), FilterParameters(iterations=2)
+    plain, iterated = Joint(iterations=1), Joint(iterations=2)
     world = section_v()
     result = {
         "plain": microseconds_per_step(Study(world, plain), repeats),
         "iterated": microseconds_per_step(Study(world, iterated), repeats),
-        "cubature": microseconds_per_step(Study(world, replace(iterated, cubature=True)), repeats),
-        "marginal": microseconds_per_step(Study(world, replace(plain, joint=False)), repeats),
-        "smoother": microseconds_per_step(Study(world, iterated, smoothing=SmootherParameters()), repeats),
+        "cubature": microseconds_per_step(Study(world, replace(iterated, linearization="cubature")), repeats),
+        "marginal": microseconds_per_step(Study(world, Marginal(iterations=1)), repeats),
+        "smoother": microseconds_per_step(Study(world, Smoother(iterations=2)), repeats),
         "growth": growth(repeats),
     }
     print(json.dumps(result, indent=1))

@@ -9,10 +9,12 @@ import pytest
 from dopslam.cli import main
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.scans import Scans
+from dopslam.problem import told
 from dopslam.simulate.world import section_v, simulate
 from dopslam.slam.history import COLUMNS, history_of
 from dopslam.slam.pmb import ek_pmb
-from dopslam.slam.pmb.ek_pmb import Diagnostics, FilterParameters
+from dopslam.slam.pmb.ek_pmb import Diagnostics
+from dopslam.slam.pmb.filters import Joint, Marginal
 from dopslam.studies.montecarlo import Study, correct_association_weight, run_once, run_study, summarize
 
 RUNS = 60
@@ -21,7 +23,7 @@ mc = pytest.mark.mc
 
 @mc
 def test_same_numbers_for_any_number_of_workers():
-    study = Study(section_v())
+    study = Study(section_v(), Joint(iterations=2))
     results = [summarize(run_study(study, 4, seed=3, jobs=jobs), study) for jobs in (1, 2)]
     for result in results:
         result.pop("microseconds_per_step")
@@ -31,7 +33,7 @@ def test_same_numbers_for_any_number_of_workers():
 @mc
 def test_joint_filter_is_efficient_and_consistent():
     """Sixty runs: NEES near 4, RMSE at the bound, and not below it beyond Monte Carlo error."""
-    study = Study(section_v())
+    study = Study(section_v(), Joint(iterations=2))
     result = summarize(run_study(study, RUNS, seed=7), study)
     low, high = result["nees_interval"]
     assert low < 4.9 and 3.6 < high < 6.0
@@ -46,7 +48,7 @@ def test_joint_filter_is_efficient_and_consistent():
 @mc
 def test_marginal_density_is_overconfident():
     """Negative control and the paper's own loss: NEES far above 4."""
-    study = Study(section_v(), FilterParameters(joint=False))
+    study = Study(section_v(), Marginal(iterations=2))
     result = summarize(run_study(study, 20, seed=7), study)
     assert result["nees_mean"] > 15
     assert result["rmse_over_bound"]["position"] > 1.25
@@ -91,8 +93,8 @@ def test_a_wrong_speed_breaks_the_known_speed_filter_only():
     wrong = replace(truth.motion, speed=1.02 * truth.motion.speed)
     six = unknown_motion(truth)
     mean = six.prior_mean * [1, 1, 1, 1, 1.02, 1]
-    known = Study(truth, motion=wrong)
-    unknown = Study(truth, motion=six.motion, prior=(mean, six.prior_covariance))
+    known = Study(truth, Joint(iterations=2), replace(told(truth), motion=wrong))
+    unknown = Study(truth, Joint(iterations=2), replace(told(six), mean=mean))
     errors = []
     for study in (known, unknown):
         results = [run_once(study, 9, run) for run in range(20)]
@@ -106,7 +108,7 @@ def test_heavy_clutter_and_many_misses_do_not_break_it():
     hard = replace(world, clutter_count=20.0, noise=replace(world.noise, detection_probability=0.7))
     from dopslam.models.detection import ConstantDetection
 
-    study = Study(hard, FilterParameters(detection=ConstantDetection(0.7)))
+    study = Study(hard, Joint(iterations=2), replace(told(hard), detection=ConstantDetection(0.7)))
     result = summarize(run_study(study, 12, seed=1), study)
     assert result["diverged"] == 0
 

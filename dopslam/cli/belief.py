@@ -1,15 +1,19 @@
-"""``dopslam montecarlo --filter bp``: paper B's synthetic experiment, many times."""
+"""``dopslam montecarlo --source experiment``: paper B's synthetic experiment, many times."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dopslam.config.scenario import Scenario
 
 
 def belief_study(
     scene: str,
+    scenario: Scenario,
     settings: list[str],
     runs: int,
-    particles: int | None,
     seed: int,
     jobs: int,
     json: Path | None,
@@ -19,20 +23,18 @@ def belief_study(
     from rich.table import Table
 
     from dopslam.cli.common import progress_display
-    from dopslam.config.scenario import load
     from dopslam.report.folder import write_json
     from dopslam.studies.bp import case_of
     from dopslam.studies.bp_cases import run_case
     from dopslam.studies.bp_study import summary
 
-    scenario = load(scene, settings)
     case = case_of(scenario)
-    size = particles or case.particles
+    size = case.particles
     with progress_display() as progress:
         results = run_case(case, runs, seed, size, lambda done: progress("runs", done, runs), jobs)
     result = {
         "scene": scene,
-        "source": "model",
+        "source": "experiment",
         "filter": "bp",
         "engine": case.engine,
         "particles": size,

@@ -19,12 +19,23 @@ def _seed(_: type, value: int) -> None:
 LARGEST_JOBS = 1024
 Seed = Annotated[int, Parameter(validator=_seed)]
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative=())]
+Filters = Annotated[list[str] | None, Parameter(name="--filter", negative=())]
 Progress = Callable[[str, int, int], None]
 
 
 def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
     """``--set`` texts plus the flags that are shorthand for scenario keys."""
     return [*(settings or []), *(f"{key.replace('__', '.')}={value}" for key, value in flags.items() if value)]
+
+
+def filter_names(chosen: list[str] | None) -> list[str]:
+    """Names of filters from ``--filter``, repeated or with commas; all are known."""
+    from dopslam.slam.filter import FILTERS
+
+    names = [name.strip() for text in chosen or () for name in text.split(",") if name.strip()]
+    for name in names:
+        FILTERS[name]
+    return list(dict.fromkeys(names))
 
 
 def positive(text: str, option: str, remedy: str) -> float:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import Parameter
+from dopslam.cli.common import Filters, Seed, Settings, doppler_choice, filter_names, overrides, worker_count
 
-from dopslam.cli.common import Seed, Settings, doppler_choice, overrides, worker_count
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def montecarlo(
     scene: str,
     *,
-    source: Literal["model"] = "model",
+    source: Literal["model", "experiment"] | None = None,
     runs: int = 100,
-    filter_name: Annotated[Literal["joint", "marginal", "smoother", "bp"], Parameter(name="--filter")] = "joint",
+    filters: Filters = None,
     particles: int | None = None,
     doppler_std: str | None = None,
     prior: Literal["std", "var"] = "std",
@@ -25,22 +26,23 @@ def montecarlo(
     json: Path | None = None,
     settings: Settings = None,
 ) -> None:
-    """Run a filter many times on detections drawn from the model and compare it with its bound.
+    """Run filters many times on detections drawn from the model and compare them with their bound.
+
+    All filters get the same draws: run r depends on seed and r only.
 
     Parameters
     ----------
     scene
         Scene folder, scenario.toml, or the name of a shipped scene.
     source
-        Detections drawn from the measurement model (paper A, Section V).
+        model: detections drawn from the measurement model (paper A, Section V). experiment: the scenario's [experiment]
+        (paper B, Section VI-B), for bp only. Default: experiment for bp alone where the scenario has one, else model.
     runs
         Number of independent runs.
-    filter_name
-        joint keeps the cross-covariances of receiver and map, marginal drops them as paper A does, smoother
-        adds a fixed lag of filter.lag steps to joint; bp is belief propagation on the scenario's [experiment]
-        (paper B, Section VI-B).
+    filters
+        One or several, repeated or with commas: joint (default), marginal, smoother, mixture, bp, or module:Class.
     particles
-        Of belief propagation; default the scenario's.
+        Of belief propagation; default the scenario's filter.particles.
     doppler_std
         Standard deviation of Doppler in m/s, or none to leave Doppler out; default the scenario's.
     prior
@@ -56,53 +58,80 @@ def montecarlo(
     settings
         Override a scenario key, for instance --set filter.motion=unknown.
     """
-    if filter_name == "bp":
-        from dopslam.cli.belief import belief_study
-        from dopslam.cluster import workers
-
-        with workers(cluster) as threads:
-            belief_study(scene, overrides(settings), runs, particles, seed, threads or worker_count(jobs), json)
-        return
     from rich.console import Console
-    from rich.table import Table
 
     from dopslam.cluster import workers
     from dopslam.config.scenario import load
+    from dopslam.errors import ConfigError
+
+    names = filter_names(filters) or ["joint"]
+    flags = overrides(settings, filter__particles=None if particles is None else str(particles))
+    scenario = load(scene, flags)
+    if source is None:
+        source = "experiment" if names == ["bp"] and scenario.experiment is not None else "model"
+    if source == "experiment":
+        from dopslam.cli.belief import belief_study
+
+        if names != ["bp"]:
+            raise ConfigError("--source experiment: only bp reads its amplitudes; choose --filter bp or --source model")
+        if doppler_std is not None or prior != "std":
+            raise ConfigError(
+                "--source experiment has no Doppler and no track.start_std; drop --doppler-std and --prior"
+            )
+        with workers(cluster) as threads:
+            belief_study(scene, scenario, flags, runs, seed, threads or worker_count(jobs), json)
+        return
     from dopslam.report.folder import write_json
+    from dopslam.slam.filter import uses_doppler
     from dopslam.studies.montecarlo import run_study, summarize, warm_up
     from dopslam.studies.summary import study
 
     doppler, std = doppler_choice(doppler_std)
-    plan = study(load(scene, overrides(settings)), filter_name, prior, doppler, std)
-    compilation = warm_up(plan)
+    results = {}
     with workers(cluster) as threads:
-        result = summarize(run_study(plan, runs, seed, threads or worker_count(jobs)), plan)
-    result = {
-        "scene": scene,
-        "source": source,
-        "filter": filter_name,
-        "prior": prior,
-        "doppler": doppler,
-        "seed": seed,
-        "compilation_seconds": compilation,
-        **result,
-    }
-    table = Table("", "RMSE / bound", "95 %", box=None)
-    for name, value in result["rmse_over_bound"].items():
-        low, high = result["rmse_over_bound_interval"][name]
-        table.add_row(name, f"{value:.3f}", f"{low:.3f} – {high:.3f}")
+        for name in names:
+            plan = study(scenario, name, prior, doppler, std)
+            compilation = warm_up(plan)
+            figures = summarize(run_study(plan, runs, seed, threads or worker_count(jobs)), plan)
+            results[name] = {
+                "scene": scene, "source": source, "filter": name, "prior": prior, "doppler": uses_doppler(plan.chosen), "seed": seed,
+                "compilation_seconds": compilation, **figures,
+            }  # fmt: skip
     console = Console(markup=False)
-    console.print(table)
+    console.print(ratios(results))
+    for result in results.values():
+        console.print(_told(result, runs))
+    if json is not None:
+        first = results[names[0]]
+        write_json(json, first if len(names) == 1 else first | {"filters": results})
+        console.print(f"written: {json}")
+
+
+def ratios(results: dict[str, dict[str, Any]]) -> Table:
+    """RMSE over bound of every filter with its 95 % interval."""
+    from rich.table import Table
+
+    many = len(results) > 1
+    table = Table("", *(["filter"] if many else []), "RMSE / bound", "95 %", box=None)
+    for name, result in results.items():
+        for quantity, value in result["rmse_over_bound"].items():
+            low, high = result["rmse_over_bound_interval"][quantity]
+            table.add_row(quantity, *([name] if many else []), f"{value:.3f}", f"{low:.3f} – {high:.3f}")
+    return table
+
+
+def _told(result: dict[str, Any], runs: int) -> str:
     va, sp = result["gospa_va_m"], result["gospa_sp_m"]
     low, high = result["nees_interval"]
-    console.print(
-        f"NEES {result['nees_mean']:.2f} [{low:.2f}, {high:.2f}] of {result['nees_expected']}   "
-        f"GOSPA last step: VA {va['last']:.2f} m, SP {sp['last']:.2f} m\n"
-        f"correct association {result['correct_da_weight']:.4f} "
-        f"at λ = {result['intensity_va_per_m3']:g} (VA), "
-        f"{result['intensity_sp_per_m3']:g} (SP) per m³\n"
+    weight = result["correct_da_weight"]
+    association = (
+        ""
+        if weight is None
+        else f"correct association {weight:.4f} "
+        f"at λ = {result['intensity_va_per_m3']:g} (VA), {result['intensity_sp_per_m3']:g} (SP) per m³\n"
+    )
+    return (
+        f"{result['filter']}: NEES {result['nees_mean']:.2f} [{low:.2f}, {high:.2f}] of {result['nees_expected']}   "
+        f"GOSPA last step: VA {va['last']:.2f} m, SP {sp['last']:.2f} m\n{association}"
         f"diverged {result['diverged']} of {runs}   {result['microseconds_per_step']:.0f} µs per step"
     )
-    if json is not None:
-        write_json(json, result)
-        console.print(f"written: {json}")

@@ -6,15 +6,15 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from dopslam.cli.common import (
+    Filters,
     Seed,
     Settings,
     derived_text,
     doppler_choice,
+    filter_names,
     leave_if_lost,
     overrides,
     progress_display,
@@ -28,7 +28,7 @@ def run(
     *,
     seed: Seed = 0,
     source: Literal["traced", "model"] | None = None,
-    density: Annotated[Literal["joint", "marginal", "bp"] | None, Parameter(name="--filter")] = None,
+    filters: Filters = None,
     doppler_std: str | None = None,
     jobs: int | None = None,
     runs: Path = Path("runs"),
@@ -37,7 +37,7 @@ def run(
 ) -> None:
     """Trace, synthesize, estimate, run SLAM, bound and evaluate one scenario; leaves a results folder.
 
-    The table shows both filter densities with and without Doppler on the same detections.
+    The table shows every filter with and without Doppler on the same detections.
 
     Parameters
     ----------
@@ -47,8 +47,9 @@ def run(
         Of everything random.
     source
         traced: estimated from the signal of a traced scene. model: drawn from the measurement model, as in paper A.
-    density
-        The filter that the summary leads with.
+    filters
+        One or several, repeated or with commas, the first leads the summary: joint, marginal, smoother, mixture, bp,
+        or module:Class of your own. Default joint, marginal and the scenario's filter.density.
     doppler_std
         none: only filters without Doppler. A number sets the standard deviation [m/s] where the source is the model.
     jobs
@@ -67,10 +68,11 @@ def run(
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)
+    names = filter_names(filters)
     flags = overrides(
         settings,
         source__kind=source,
-        filter__density=density,
+        filter__density=repr(names[0]) if names else None,
         source__model__doppler_std=None if std is None else str(std),
     )
     scenario = load(scene, flags)
@@ -106,11 +108,10 @@ def run(
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
-            densities = ("joint", "marginal", scenario.filter.density)
-            wanted = [v for v in stages.VARIANTS.values() if v[0] in densities and (used or not v[1])]
-            for done, (variant, doppler) in enumerate(wanted):
+            wanted = stages.variants_of(scenario, names or ["joint", "marginal", scenario.filter.density], used)
+            for done, (name, doppler) in enumerate(wanted):
                 progress("slam", done, len(wanted))  # the very first run compiles for a minute
-                tried(stages.variant_name(variant, doppler), "slam", stages.slam, data, (), variant, doppler)
+                tried(stages.variant_name(name, doppler), "slam", stages.slam, data, (), name, doppler)
             progress("slam", len(wanted), len(wanted))
         for doppler in (True, False) if used else (False,):
             tried(stages.bound_name(doppler), "bound", stages.bound, data, (), doppler)

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
 
-from cyclopts import Parameter
-
-from dopslam.cli.common import Settings, doppler_choice, overrides
+from dopslam.cli.common import Filters, Settings, doppler_choice, filter_names, overrides
 
 
 def slam(
     dataset: Path,
     *,
-    density: Annotated[Literal["joint", "marginal", "smoother", "bp"] | None, Parameter(name="--filter")] = None,
+    filters: Filters = None,
     doppler_std: str | None = None,
     settings: Settings = None,
 ) -> None:
-    """Run a SLAM filter over the detections of a dataset file and add its track and map.
+    """Run SLAM filters over the detections of a dataset file and add their tracks and maps.
 
     Parameters
     ----------
     dataset
         A file with detections.
-    density
-        joint keeps the cross-covariances of receiver and map, marginal drops them as paper A does, smoother
-        adds a fixed lag of filter.lag steps to joint, bp is the belief propagation of paper B (without Doppler).
+    filters
+        One or several, repeated or with commas: joint keeps the cross-covariances of receiver and map, marginal drops
+        them as paper A does, smoother adds a fixed lag of filter.lag steps to joint, mixture keeps filter.hypotheses
+        global hypotheses, bp is the belief propagation of paper B; module:Class is one of your own. Default the
+        scenario's filter.density.
     doppler_std
         none: leave Doppler out. (A number sets its standard deviation where detections come from the model.)
     settings
@@ -34,4 +33,5 @@ def slam(
     from dopslam.pipeline import file as stages
 
     used, _ = doppler_choice(doppler_std)
-    stages.slam(dataset, overrides(settings), density, used)
+    for name in filter_names(filters) or [None]:
+        stages.slam(dataset, overrides(settings), name, used)

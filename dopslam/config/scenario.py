@@ -212,7 +212,8 @@ class Estimator(Frozen):
 class Filter(Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
-    density: Literal["joint", "marginal", "bp"] = "joint"  # bp: belief propagation of paper B
+    density: Annotated[str, Field(min_length=1)] = "joint"  # a name of slam.filter.FILTERS, or "module:Class"
+    options: dict[str, Any] = Field(default_factory=dict)  # of a filter of one's own
     start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
     particles: Count = 1000  # of belief propagation
     associations: Count = 10  # γ best data associations per step
@@ -225,7 +226,7 @@ class Filter(Frozen):
     report_existence: Probability = 0.5
     linearization: Literal["extended", "cubature"] = "extended"
     reweight: bool = False  # weight associations by the evidence of the joint update
-    hypotheses: Count = 1  # global hypotheses kept between steps: 1 is the PMB, more the PMBM
+    hypotheses: Count = 20  # of the mixture: global hypotheses kept between steps
     lag: Count = 5  # steps that the smoother revisits
     birth_va: NonNegative = 0.0  # m⁻³ per step, added to the intensity of undetected virtual anchors
     birth_sp: NonNegative = 0.0

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dopslam.errors import FilterError
 from dopslam.evaluate.recursion import LinearizedRun, filtering, smoothing
-from dopslam.models.measurement import BS, jacobians
+from dopslam.models.measurement import BS, jacobians, wrap
 from dopslam.models.motion import CoordinatedTurn, transition_jacobian
+from dopslam.records import Track
 from dopslam.simulate.world import FixedNoise, Situation, noise_of, nominal_track
 
 Array = NDArray[np.float64]
@@ -178,6 +179,16 @@ def pcrb(
     landmark = np.full((steps, count, 3, 3), np.nan)
     ue, landmark[:, free] = smoothing(run) if smoothed else filtering(run)
     return Bound(ue, landmark)
+
+
+def true_states(track: Track, motion: CoordinatedTurn) -> tuple[Array, Array]:
+    """States (K, n) of a true track and its start (n,), with speed and turn rate where the motion model carries them."""
+    states, start = track.state, np.asarray(track.start, float)
+    if motion.dimension == states.shape[1]:
+        return states, start
+    speed = np.sum(track.velocity[:, :2] * np.column_stack([np.cos(track.heading), np.sin(track.heading)]), axis=1)
+    rate = wrap(np.diff(track.heading, prepend=start[2])) / np.diff(track.time, prepend=track.time[0] - motion.interval)
+    return np.column_stack([states, speed, rate]), np.append(start, [speed[0], rate[0]])
 
 
 def situation_bound(

@@ -40,6 +40,8 @@ class Scans(Ragged):
         Width of the Doppler part of that volume [m/s], divided out when Doppler is not used.
     snr : (N,) array or None
         Post-integration SNR ρ, linear.
+    threshold : float or None
+        Detection threshold on ρ, linear; None where p_D does not follow ρ.
     anchor : (N,) int array
         Base station of each measurement; 0 where it is not said.
     interval : (K,) array or None
@@ -55,6 +57,7 @@ class Scans(Ragged):
     search_volume: float
     doppler_span: float
     snr: Array | None = None
+    threshold: float | None = None
     anchor: NDArray[np.int64] = field(default_factory=lambda: ABSENT)
     interval: Array | None = None
     label: NDArray[np.int64] | None = None
@@ -129,6 +132,7 @@ def from_detections(
         search_volume=float(detections.search_volume),
         doppler_span=doppler_span,
         snr=np.asarray(detections.snr, dtype=float),
+        threshold=float(detections.threshold),
         anchor=np.asarray(detections.anchor, dtype=np.int64),
         interval=_intervals(detections.time, period),
     )

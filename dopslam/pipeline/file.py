@@ -3,6 +3,7 @@ file."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from dopslam import problem as build
@@ -16,6 +17,7 @@ from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
 from dopslam.report import figures, folder, page, replay, tables
+from dopslam.slam.filter import FILTERS
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
 
@@ -92,25 +94,35 @@ def read_detections(path: Path) -> DetectionSeries:
     return dataset.read_record(path, "detections", DetectionSeries)
 
 
-VARIANTS = {
-    "joint": ("joint", True),
-    "joint, no Doppler": ("joint", False),
-    "marginal": ("marginal", True),
-    "marginal, no Doppler": ("marginal", False),
-    "smoother": ("smoother", True),
-    "smoother, no Doppler": ("smoother", False),
-    "bp": ("bp", True),
-    "bp, no Doppler": ("bp", False),
-}
+WITHOUT = ", no Doppler"
 
 
-def variant_name(density: str, doppler: bool) -> str:
-    """Name of a filter variant in tables and files."""
-    return density if doppler else f"{density}, no Doppler"
+def variant_name(name: str, doppler: bool) -> str:
+    """Name of a filter variant in tables and files: the filter's, and whether it left Doppler out though it could."""
+    return name if doppler else name + WITHOUT
 
 
-def _group(kind: str, name: str) -> str:
-    return f"{kind}_{name.replace(', ', '_').replace(' ', '_').lower()}"
+def split_variant(variant: str) -> tuple[str, bool]:
+    """The filter's name and whether it uses Doppler; the inverse of :func:`variant_name`."""
+    return variant.removesuffix(WITHOUT), not variant.endswith(WITHOUT)
+
+
+def variants_of(scenario: Scenario, names: Sequence[str], doppler: bool = True) -> list[tuple[str, bool]]:
+    """(filter, Doppler) of every variant: each filter with Doppler if it can and it is wanted, and without."""
+    able = {name: pipeline.uses_doppler(scenario, name) for name in dict.fromkeys(names)}
+    return [(name, used) for name, can in able.items() for used in (True, False) if (can and doppler) or not used]
+
+
+_ENDING = "_no_doppler"  # of a group
+
+
+def _group(kind: str, variant: str) -> str:
+    name, doppler = split_variant(variant)
+    return f"{kind}_{name}" + ("" if doppler else _ENDING)
+
+
+def _bound_group(doppler: bool) -> str:
+    return "bound_doppler" if doppler else "bound_no_doppler"
 
 
 def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
@@ -119,26 +131,26 @@ def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detec
     return pipeline.blur(scenario, detections, seed) if wanted else detections
 
 
-def slam(path: Path, settings=(), density: str | None = None, doppler: bool = True) -> str:
+def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool = True) -> str:
     """Add the history of one filter variant; returns its name."""
     scenario, seed = scenario_of(path, settings)
     detections = blurred(scenario, read_detections(path), seed)
-    density = density or scenario.filter.density
-    doppler = doppler and pipeline.uses_doppler(scenario, density)
-    history = pipeline.slam(scenario, detections, density, doppler, seed)
-    name = variant_name(density, doppler)
-    dataset.write_record(path, _group("slam", name), history, scenario.to_toml())
-    return name
+    filter_name = filter_name or scenario.filter.density
+    doppler = doppler and pipeline.uses_doppler(scenario, filter_name)
+    history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
+    variant = variant_name(filter_name, doppler)
+    dataset.write_record(path, _group("slam", variant), history, scenario.to_toml())
+    return variant
 
 
 def histories(path: Path) -> dict[str, History]:
-    """The filter histories a dataset holds, by variant name."""
-    have = set(dataset.groups(path))
-    return {
-        name: dataset.read_record(path, _group("slam", name), History)
-        for name in VARIANTS
-        if _group("slam", name) in have
-    }
+    """The filter histories a dataset holds, by variant name: in the order of the table of filters, then others."""
+    prefix = _group("slam", "")
+    stored = [g.removeprefix(prefix) for g in dataset.groups(path) if g.startswith(prefix)]
+    names = {variant_name(own.removesuffix(_ENDING), not own.endswith(_ENDING)): prefix + own for own in stored}
+    known = [variant for name in FILTERS for variant in (name, name + WITHOUT)]
+    order = sorted(names, key=lambda v: (known.index(v) if v in known else len(known), v))
+    return {name: dataset.read_record(path, names[name], History) for name in order}
 
 
 def bound(path: Path, settings=(), doppler: bool = True) -> None:
@@ -147,7 +159,7 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
     bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
-    dataset.write_record(path, _group("bound", "Doppler" if doppler else "no Doppler"), bounds)
+    dataset.write_record(path, _bound_group(doppler), bounds)
 
 
 def bound_name(doppler: bool) -> str:
@@ -169,15 +181,15 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         raise DatasetError(f"{path}: holds no filter history; run 'dopslam slam {path}' first")
     evaluations = {}
     for name, history in found.items():
-        doppler = VARIANTS[name][1]
-        group = _group("bound", "Doppler" if doppler else "no Doppler")
+        filter_name, doppler = split_variant(name)
+        group = _bound_group(doppler)
         if group not in have:
             if failed is not None and bound_name(doppler) in failed:
                 continue
             option = "" if doppler else " --doppler-std none"
             raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}{option}' first")
         bounds = dataset.read_record(path, group, Bound)
-        order = pipeline.largest_order(VARIANTS[name][0], landmarks)
+        order = pipeline.largest_order(filter_name, landmarks)
         try:
             evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
         except (DopslamError, ValueError, ArithmeticError) as error:
@@ -195,8 +207,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         | mapping.fate(landmarks, found[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }
-    main = variant_name(scenario.filter.density, pipeline.uses_doppler(scenario, scenario.filter.density))
-    main = main if main in variants else next(iter(variants))
+    main = next((v for v in variants if split_variant(v)[0] == scenario.filter.density), next(iter(variants)))
     summary = {
         "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
         **variants[main],

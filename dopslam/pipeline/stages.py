@@ -18,7 +18,7 @@ from dopslam import preflight
 from dopslam import problem as build
 from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
-from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
+from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
 from dopslam.evaluate.run import true_association
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure
@@ -26,8 +26,9 @@ from dopslam.models.scans import CLUTTER
 from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
+from dopslam.slam.filter import FILTERS
+from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import History
-from dopslam.slam.pmb import ek_pmb, smoother
 from dopslam.store import file as dataset
 
 Progress = Callable[[str, int, int], None]
@@ -288,59 +289,33 @@ def blur(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detectio
 
 
 def slam(
-    scenario: Scenario, detections: DetectionSeries, density: str | None = None, doppler: bool = True, seed: int = 0
+    scenario: Scenario, detections: DetectionSeries, name: str | None = None, doppler: bool = True, seed: int = 0
 ) -> History:
-    """Track and map from detections; the filter knows the BS, speed, turn rate, and its initial mean and covariance.
+    """Track and map from detections; the filter is told what :func:`dopslam.problem.problem` says, and no more.
 
     Parameters
     ----------
-    density : ``"joint"``, ``"marginal"``, ``"smoother"`` (fixed lag over joint) or ``"bp"`` (paper B); default the
-        scenario's
-    doppler : whether the Doppler row is used
-    seed : of the particles of belief propagation
+    name : of :data:`dopslam.slam.filter.FILTERS`, or ``module:Class``; default the scenario's
+    doppler : whether the Doppler row is used, if the filter can
+    seed : of a filter that draws
 
     Raises
     ------
     FilterError
         If the detections cannot be filtered.
     """
-    density = density or scenario.filter.density
-    detections = build.unwrapped(scenario, detections)
-    scans = build.scans(scenario, detections)
-    start = build.start(scenario, scans, doppler)
-    if density == "bp":
-        from dopslam.slam.belief import adapter
-
-        setup = replace(build.belief_setup(scenario, start), doppler=doppler)
-        return adapter.slam(detections, setup, particles=scenario.filter.particles, seed=seed)
-    detection = build.detection_model(scenario, detections.threshold)
-    smoothed = density == "smoother"
-    arguments = (
-        scans,
-        start,
-        build.motion(scenario),
-        np.array(scenario.base_station.position),
-        build.filter_parameters(scenario, detection, "joint" if smoothed else density, doppler),
-        scenario.receiver.height,
-    )
-    if smoothed:
-        history, _ = smoother.run(*arguments, smoother.SmootherParameters(lag=scenario.filter.lag))
-    else:
-        history, _ = ek_pmb.run(*arguments)
-    return history
+    return run_filter(build.problem(scenario), detections, build.chosen_filter(scenario, name, doppler), seed)[0]
 
 
-def uses_doppler(scenario: Scenario, density: str) -> bool:
-    """Whether a filter can use Doppler: paper B's measurements have none, and neither has its form of the features."""
-    return density != "bp" or scenario.belief.features == "conditional"
+def uses_doppler(scenario: Scenario, name: str) -> bool:
+    """Whether a filter can use Doppler."""
+    return build.chosen_filter(scenario, name).capabilities.doppler
 
 
-def largest_order(density: str, landmarks: Landmarks) -> int:
-    """Reflections of a virtual anchor that the filter's map may hold.
-
-    The EK-PMB's model has the departure of a single reflection; belief propagation has a type without departure as well.
-    """
-    return int(landmarks.order.max()) if density == "bp" else 1
+def largest_order(name: str, landmarks: Landmarks) -> int:
+    """Reflections of a virtual anchor that the map of this filter may hold."""
+    limit = FILTERS[name].largest_order
+    return int(landmarks.order.max()) if limit is None else limit
 
 
 def landmark_of_detections(
@@ -382,11 +357,11 @@ def bound(
     step = np.repeat(np.arange(scans.steps), np.diff(scans.offsets))
     real = label >= 0
     covariance[step[real], label[real]] = scans.covariance[real]
+    problem = build.problem(scenario)
     return pcrb(
-        track.state,
-        track.start,
-        build.prior(scenario)[1],
-        build.motion(scenario),
+        *true_states(track, problem.motion),
+        problem.covariance,
+        problem.motion,
         landmarks.position,
         landmarks.kind.astype(np.int64),
         covariance,

@@ -246,6 +246,7 @@ def draw_scans(
         search_volume=situation.clutter_range * (2 * np.pi * np.pi) ** 2 * span,
         doppler_span=span,
         snr=None if snr is None else flat[3],
+        threshold=None if isinstance(situation.noise, FixedNoise) else situation.noise.threshold,
         label=flat[2].astype(np.int64),
     )
 

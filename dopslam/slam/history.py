@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_vector
-from dopslam.records import Kind, Ragged
+from dopslam.records import Kind, Ragged, edges_of
 from dopslam.slam.pmb.density import PMB
 
 Array = NDArray[np.float64]
@@ -35,6 +36,11 @@ class Diagnostics:
     weights: tuple[Array, ...]
     associations: tuple[NDArray[np.int64], ...]
     existence: tuple[Array, ...]
+
+    @classmethod
+    def none(cls, steps: int) -> Diagnostics:
+        """Of a filter that tells nothing."""
+        return cls(np.full(steps, np.nan), np.zeros(steps, dtype=np.int64), (), (), ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +80,46 @@ class History(Ragged):
         return self.position[rows][wanted]
 
 
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """State and map after one step, columns as in :class:`History`.
+
+    Attributes
+    ----------
+    mean, covariance : (n,), (n, n)
+    position, position_covariance : (T, 3), (T, 3, 3) of the landmarks
+    existence, type_probability, track : (T,), (T, TYPES), (T,)
+    """
+
+    mean: Array
+    covariance: Array
+    position: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    position_covariance: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    existence: Array = field(default_factory=lambda: np.zeros(0))
+    type_probability: Array = field(default_factory=lambda: np.zeros((0, TYPES)))
+    track: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+def history_of_estimates(estimates: Sequence[Estimate]) -> History:
+    """The record of all steps; a landmark's kind is its likelier type."""
+
+    def column(name: str) -> Array:
+        return np.concatenate([getattr(e, name) for e in estimates])
+
+    probability = column("type_probability")
+    return History(
+        mean=np.array([e.mean for e in estimates]),
+        covariance=np.array([e.covariance for e in estimates]),
+        map_offsets=edges_of([len(e.existence) for e in estimates]).astype(np.int64),
+        position=column("position"),
+        position_covariance=column("position_covariance"),
+        existence=column("existence"),
+        type_probability=probability,
+        kind=probability.argmax(axis=1).astype(np.int64),
+        track=column("track").astype(np.int64),
+    )
+
+
 @compiled
 def write_map(posterior, table, row):
     """Write the map of a density into `table` from `row` on, one line per track; returns the row after the last."""
@@ -110,6 +156,20 @@ def map_table(posterior: PMB) -> Array:
     """Map rows (T, COLUMNS) of one density."""
     table = np.empty((posterior.kind.size - 1, COLUMNS))
     return table[: write_map(posterior, table, 0)]
+
+
+def estimate_of(posterior: PMB) -> Estimate:
+    """State and map of one density."""
+    table, n = map_table(posterior), posterior.mean.size - 3 * (posterior.kind.size - 1)
+    return Estimate(
+        posterior.mean[:n].copy(),
+        posterior.covariance[:n, :n].copy(),
+        position=table[:, :3],
+        position_covariance=table[:, 3:12].reshape(-1, 3, 3),
+        existence=table[:, 12],
+        type_probability=table[:, 15:],
+        track=table[:, 14].astype(np.int64),
+    )
 
 
 def history_of(mean: Array, covariance: Array, map_offsets: NDArray[np.int64], table: Array) -> History:

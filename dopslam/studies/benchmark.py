@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.models.detection import ConstantDetection
 from dopslam.models.measurement import BS, SP, VA
 from dopslam.simulate.world import FixedNoise, Situation, section_v, simulate
-from dopslam.slam.pmb.density import FilterParameters, compile_model, initial_density
+from dopslam.slam.filter import run as run_filter
+from dopslam.slam.pmb.density import compile_model, initial_density
 from dopslam.slam.pmb.ek_pmb import filter_scans, scan_arrays
-from dopslam.studies.montecarlo import Study, run_filter
+from dopslam.slam.pmb.filters import Joint
+from dopslam.studies.montecarlo import Study
 
 Array = NDArray[np.float64]
 
@@ -26,13 +27,15 @@ def microseconds_per_step(study: Study, repeats: int = 5, seed: int = 0) -> dict
     """Least time per step [µs]: `recursion` (the filter's compiled loop over the scans) and `run` (with the smoother, if
     there is one, and with the records).
     """
-    world, parameters = study.situation, study.parameters
+    world, problem, chosen = study.situation, study.told, study.chosen
+    assert isinstance(chosen, Joint)
     _, scans = simulate(world, seed, 0)
+    parameters = chosen.parameters(problem, scans)
     model = compile_model(parameters, world.motion, world.bs, world.height)
     start = initial_density(world.prior_mean, world.prior_covariance)
     calls = {
         "recursion": lambda: filter_scans(*scan_arrays(scans, parameters.doppler), start, model, np.zeros(1, np.int64)),
-        "run": lambda: run_filter(study, scans),
+        "run": lambda: run_filter(problem, scans, chosen),
     }
     result = {}
     for name, call in calls.items():
@@ -77,10 +80,7 @@ def growth(repeats: int = 3) -> dict[str, Any]:
     """Time per step over 8-64 landmarks (8 detections) and 5-40 detections (64 landmarks), with exponents."""
 
     def measured(world: Situation) -> float:
-        noise = world.noise
-        assert isinstance(noise, FixedNoise)
-        parameters = FilterParameters(detection=ConstantDetection(noise.detection_probability, noise.sp_range))
-        return microseconds_per_step(Study(world, parameters), repeats)["recursion"]
+        return microseconds_per_step(Study(world, Joint(iterations=2)), repeats)["recursion"]
 
     landmarks, detections = [8, 16, 32, 64], [5, 10, 20, 40]
     over_landmarks = [measured(crowded(n, 8)) for n in landmarks]

@@ -29,7 +29,7 @@ def experiment_of(scenario: Scenario) -> Experiment:
     config, track, radio = scenario.experiment, scenario.track, scenario.radio
     if config is None:
         raise ConfigError(
-            f"{scenario.name}: no [experiment] to draw amplitudes from; --filter bp needs a scenario like pedestrian"
+            f"{scenario.name}: no [experiment] to draw amplitudes from; use --source model, or a scenario like pedestrian"
         )
     anchors, points = scenario.source.model.virtual_anchors, [p.position for p in scenario.scatter_point]
     if len(config.amplitudes) != 1 + len(anchors) + len(points):

@@ -17,10 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dopslam.evaluate.bounds import situation_bound
+from dopslam.problem import told
 from dopslam.report.figures import house_style
 from dopslam.simulate.world import section_v, unknown_motion
-from dopslam.slam.pmb.density import FilterParameters
-from dopslam.slam.pmb.smoother import SmootherParameters
+from dopslam.slam.filter import FILTERS
+from dopslam.slam.pmb.filters import Joint, Smoother
 from dopslam.studies.montecarlo import Study, run_study, summarize
 
 WITH, WITHOUT = "#0072B2", "#D55E00"
@@ -58,7 +59,7 @@ def filter_cases(runs: int, seed: int, jobs: int, prior: str = "std") -> dict[st
     result = {}
     for density in ("marginal", "joint"):
         for name, doppler in CASES.items():
-            study = Study(world, FilterParameters(joint=density == "joint", doppler=doppler))
+            study = Study(world, FILTERS[density](iterations=2, doppler=doppler))
             result[f"{density}, {name}"] = summarize(run_study(study, runs, seed, jobs), study)
     return result
 
@@ -69,8 +70,9 @@ def association_table(runs: int, seed: int, jobs: int, joint: bool = False) -> l
     for intensity in INTENSITIES:
         row: dict[str, Any] = {"intensity_per_m3": intensity}
         for name, doppler in CASES.items():
-            parameters = FilterParameters(joint=joint, doppler=doppler, intensity=(intensity, intensity))
-            study = Study(section_v(0.1), parameters)
+            chosen = FILTERS["joint" if joint else "marginal"](iterations=2, doppler=doppler)
+            world = section_v(0.1)
+            study = Study(world, chosen, replace(told(world), undetected=(intensity, intensity)))
             result = summarize(run_study(study, runs, seed, jobs), study)
             row[name] = result["correct_da_weight"]
             row[f"{name} interval"] = result["correct_da_weight_interval"]
@@ -83,14 +85,14 @@ def motion_studies(runs: int, seed: int, jobs: int) -> dict[str, dict[str, Any]]
     truth = section_v(0.1)
     six = unknown_motion(truth)
     lively = unknown_motion(truth, speed_walk=0.5, rate_walk=0.02)
-    off = np.array([1, 1, 1, 1, 1.02, 1])
+    off, joint = np.array([1, 1, 1, 1, 1.02, 1]), Joint(iterations=2)
     studies = {
-        "unknown motion, joint": Study(six),
-        "unknown motion, livelier walk, smoother": Study(lively, smoothing=SmootherParameters()),
-        "speed 2 % wrong, believed known": Study(truth, motion=replace(truth.motion, speed=1.02 * truth.motion.speed)),
-        "speed 2 % wrong, in the state": Study(
-            truth, motion=six.motion, prior=(six.prior_mean * off, six.prior_covariance)
+        "unknown motion, joint": Study(six, joint),
+        "unknown motion, livelier walk, smoother": Study(lively, Smoother(iterations=2)),
+        "speed 2 % wrong, believed known": Study(
+            truth, joint, replace(told(truth), motion=replace(truth.motion, speed=1.02 * truth.motion.speed))
         ),
+        "speed 2 % wrong, in the state": Study(truth, joint, replace(told(six), mean=six.prior_mean * off)),
     }
     return {name: summarize(run_study(study, runs, seed, jobs), study) for name, study in studies.items()}
 

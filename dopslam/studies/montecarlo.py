@@ -8,7 +8,7 @@ information with the detections that were drawn; intervals are 95 % percentile b
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,50 +19,50 @@ from dopslam.errors import DopslamError, FilterError
 from dopslam.evaluate.bounds import detection_mask, situation_bound
 from dopslam.evaluate.metrics import gospa, nees, rmse_over_bound, squared_errors, state_errors
 from dopslam.models.measurement import SP, VA
-from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
+from dopslam.problem import told
 from dopslam.simulate.world import Situation, simulate
+from dopslam.slam.filter import Filter, Problem, uses_doppler
+from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import Diagnostics, History
-from dopslam.slam.pmb import ek_pmb, smoother
-from dopslam.slam.pmb import mixture as pmbm
-from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK, FilterParameters
-from dopslam.slam.pmb.smoother import SmootherParameters
+from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
 
 Array = NDArray[np.float64]
 
+FILTER = 3  # component of a run's random numbers: 0 to 2 are track, detections and clutter
 LOST = 5.0  # m; a run whose position error exceeds this at any step counts as diverged
 ESTABLISHED = 0.3  # existence from which a track is the right place for its landmark's measurement
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What is run: a world, and a filter that may believe something else about it.
+    """What is run: a world, a filter, and what the filter believes about the world.
+
+    Run r draws the same track and detections whatever the filter: studies of one world are paired.
 
     Attributes
     ----------
     situation : Situation
         The truth.
-    parameters : FilterParameters
-    smoothing : SmootherParameters or None
-        With it, the fixed-lag smoother on top of the filter.
-    hypotheses : int
-        Global hypotheses kept between steps: 1 is the PMB, more the PMBM.
-    motion : CoordinatedTurn or None
-        The filter's motion model; None: the true one.
-    prior : (mean, covariance) or None
-        The filter's initial knowledge; None: what the start is drawn from.
-    cutoff : float
-        GOSPA cutoff [m].
+    chosen : Filter
+    problem : Problem or None
+        What the filter is told; None: the truth.
+    cutoff, order : GOSPA cutoff [m] and order
+    report : float
+        Existence from which a landmark is reported.
     """
 
     situation: Situation
-    parameters: FilterParameters = field(default_factory=FilterParameters)
-    smoothing: SmootherParameters | None = None
-    hypotheses: int = 1
-    motion: CoordinatedTurn | None = None
-    prior: tuple[Array, Array] | None = None
+    chosen: Filter
+    problem: Problem | None = None
     cutoff: float = 20.0
+    order: float = 2.0
     report: float = 0.5
+
+    @property
+    def told(self) -> Problem:
+        """What the filter is told."""
+        return told(self.situation) if self.problem is None else self.problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,22 +114,9 @@ def correct_association_weight(scans: Scans, diagnostics: Diagnostics, history: 
     return weight
 
 
-def run_filter(study: Study, scans: Scans) -> tuple[History, Diagnostics]:
-    """The study's filter on given scans."""
-    world = study.situation
-    arguments = (
-        scans,
-        study.prior or (world.prior_mean, world.prior_covariance),
-        study.motion or world.motion,
-        world.bs,
-        study.parameters,
-        world.height,
-    )
-    if study.smoothing is not None:
-        return smoother.run(*arguments, study.smoothing)
-    if study.hypotheses > 1:
-        return pmbm.run(*arguments, study.hypotheses)
-    return ek_pmb.run(*arguments)
+def run_seed(seed: int, run: int) -> int:
+    """Seed of what a filter draws itself in one run, apart from the world's."""
+    return int(np.random.SeedSequence(seed, spawn_key=(0, run, FILTER)).generate_state(1)[0])
 
 
 def run_once(study: Study, seed: int, run: int) -> RunResult:
@@ -137,10 +124,10 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
     world = study.situation
     states, scans = simulate(world, seed, run)
     mask = detection_mask(scans.label, scans.offsets, len(world.kind))
-    bound = situation_bound(world, states, detected=mask, doppler=study.parameters.doppler).squared()
+    bound = situation_bound(world, states, detected=mask, doppler=uses_doppler(study.chosen)).squared()
     started = time.thread_time()
     try:
-        history, diagnostics = run_filter(study, scans)
+        history, diagnostics = run_filter(study.told, scans, study.chosen, run_seed(seed, run))
     except (FilterError, np.linalg.LinAlgError) as error:
         nothing, no_map = np.full(world.steps, np.nan), np.full((world.steps, 4), np.nan)
         gone = {name: nothing for name in bound}
@@ -151,7 +138,9 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
     maps = []
     for kind in (VA, SP):
         truth = world.landmarks(kind)
-        results = [gospa(truth, history.reported(k, kind, study.report), study.cutoff) for k in range(world.steps)]
+        results = [
+            gospa(truth, history.reported(k, kind, study.report), study.cutoff, study.order) for k in range(world.steps)
+        ]
         maps.append(np.array([[g.distance, g.localization, g.missed, g.false] for g in results]))
     return RunResult(
         squared=squared_errors(error),
@@ -160,7 +149,9 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
         nis=diagnostics.nis / np.maximum(diagnostics.nis_rows, 1),
         gospa_va=maps[0],
         gospa_sp=maps[1],
-        correct_weight=correct_association_weight(scans, diagnostics, history),
+        correct_weight=correct_association_weight(scans, diagnostics, history)
+        if diagnostics.weights
+        else np.full(world.steps, np.nan),
         seconds=seconds,
     )
 
@@ -260,10 +251,10 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         "nis_per_row": float(np.mean([r.nis for r in good])),
         "gospa_va_m": _time_and_last(gospa_va[..., 0]),
         "gospa_sp_m": _time_and_last(gospa_sp[..., 0]),
-        "correct_da_weight": float(weight.mean()),
-        "correct_da_weight_interval": _bootstrap([weight], np.mean),
-        "intensity_va_per_m3": float(study.parameters.intensity[0]),
-        "intensity_sp_per_m3": float(study.parameters.intensity[1]),
+        "correct_da_weight": float(weight.mean()) if np.isfinite(weight).all() else None,
+        "correct_da_weight_interval": _bootstrap([weight], np.mean) if np.isfinite(weight).all() else None,
+        "intensity_va_per_m3": float(study.told.undetected[0]),
+        "intensity_sp_per_m3": float(study.told.undetected[1]),
         "diverged": diverged,
         "failures": [r.failure for r in results if r.failure],
         "microseconds_per_step": float(np.median([r.seconds for r in good]) / study.situation.steps * 1e6),

@@ -13,12 +13,8 @@ from dopslam import problem as build
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import Bound, doppler_contribution, situation_bound
-from dopslam.models.detection import ConstantDetection
 from dopslam.simulate.world import FixedNoise, Situation, unknown_motion
-from dopslam.slam.pmb.smoother import SmootherParameters
 from dopslam.studies.montecarlo import Study
-
-FILTERS = ("joint", "marginal", "smoother")
 
 
 def world(scenario: Scenario, prior: str, doppler_std: float | None) -> Situation:
@@ -51,22 +47,18 @@ def study(
     Parameters
     ----------
     scenario : Scenario
-    filter_name : 'joint', 'marginal' or 'smoother' (fixed lag, on the joint filter)
+    filter_name : of :data:`dopslam.slam.filter.FILTERS`
     prior : 'std' or 'var', the reading of `track.start_std`
     doppler : whether the filter uses Doppler
     doppler_std : its standard deviation [m/s], default the scenario's
     """
-    if filter_name not in FILTERS:
-        raise ConfigError(f"--filter {filter_name!r}: choose one of {', '.join(FILTERS)}")
-    model = scenario.source.model
-    detection = ConstantDetection(model.detection_probability, model.sp_range)
-    density = "marginal" if filter_name == "marginal" else "joint"
+    situation = world(scenario, prior, doppler_std)
     return Study(
-        situation=world(scenario, prior, doppler_std),
-        parameters=build.filter_parameters(scenario, detection, density, doppler),
-        smoothing=SmootherParameters(lag=scenario.filter.lag) if filter_name == "smoother" else None,
-        hypotheses=scenario.filter.hypotheses,
+        situation=situation,
+        chosen=build.chosen_filter(scenario, filter_name, doppler),
+        problem=build.told(situation, scenario),
         cutoff=scenario.evaluation.gospa_cutoff,
+        order=scenario.evaluation.gospa_order,
         report=scenario.filter.report_existence,
     )
 

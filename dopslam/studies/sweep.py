@@ -5,7 +5,7 @@ A sweep is a TOML file::
     scenario = "ring_road"
     source = "model"            # detections drawn from the model; or "traced": every seed traced, synthesized and
     estimated
-    filter = "joint"            # joint, marginal or (model only) smoother
+    filter = "joint"            # any that dopslam run takes
     runs = 50
     seed = 0
     set = ["track.steps=40"]    # applied to all
@@ -32,7 +32,9 @@ from matplotlib.figure import Figure
 
 from dopslam.config.scenario import Scenario, load
 from dopslam.errors import ConfigError
+from dopslam.pipeline.file import split_variant
 from dopslam.pipeline.stages import Progress, quiet
+from dopslam.slam.filter import FILTERS
 from dopslam.studies import montecarlo
 from dopslam.studies import summary as studies
 from dopslam.studies import traced as traced_study
@@ -109,9 +111,9 @@ def read_sweep(path: str | Path) -> Sweep:
         tree["scenario"], tree["vary"], tree.get("source", "model"), tree.get("filter", "joint"),
         tree.get("runs", 20), tree.get("seed", 0), tuple(map(str, tree.get("set", []))),
     )  # fmt: skip
-    allowed = {"model": studies.FILTERS, "traced": ("joint", "marginal")}
-    if sweep.source not in allowed or sweep.filter not in allowed[sweep.source]:
-        raise ConfigError(f"{path}: source {sweep.source!r} with filter {sweep.filter!r}; possible are {allowed}")
+    if sweep.source not in ("model", "traced"):
+        raise ConfigError(f"{path}: source = {sweep.source!r}; possible are 'model' and 'traced'")
+    FILTERS[sweep.filter]
     if sweep.runs < 1 or not 0 <= sweep.seed < 2**63:
         raise ConfigError(f"{path}: runs = {sweep.runs}, seed = {sweep.seed}; give at least 1 run and a seed from 0")
     for key, runs, own in (("filter.density", sweep.filter, "filter"), ("source.kind", sweep.source, "source")):
@@ -150,7 +152,10 @@ def _model(sweep: Sweep, point: dict[str, Any], folder: Path, jobs: int) -> Row:
 def _traced(sweep: Sweep, point: dict[str, Any], folder: Path, jobs: int) -> Row:
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(sweep.seed, sweep.seed + sweep.runs)
-    result = traced_study.study(sweep.at(point), seeds, folder, jobs)["estimator"][sweep.filter]
+    result = traced_study.study(sweep.at(point), seeds, folder, jobs, noises=("estimator",), filters=(sweep.filter,))[
+        "estimator"
+    ]
+    result = next(result[name] for name in result if split_variant(name)[0] == sweep.filter)
 
     def interval(entry: dict) -> tuple[float, float, float]:
         return entry["mean"], entry["low"], entry["high"]

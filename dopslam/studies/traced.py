@@ -21,6 +21,7 @@ from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.store import file as dataset
 
+COMPARED = ("joint", "marginal", "smoother", "bp")
 NOISES = {"estimator": "none", "paper": "model"}
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "gospa_va_m", "gospa_sp_m")
 
@@ -46,7 +47,7 @@ def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Pr
     return path
 
 
-def evaluations(path: Path, noise: str) -> tuple[dict[str, Evaluation], dict[str, dict]]:
+def evaluations(path: Path, noise: str, filters=COMPARED) -> tuple[dict[str, Evaluation], dict[str, dict]]:
     """Every filter variant on the detections of one dataset, which is left as it was: evaluations, and their figures."""
     settings = (f"source.traced.added_noise={NOISES[noise]}",)
     scenario, seed = stages.scenario_of(path, settings)
@@ -54,16 +55,23 @@ def evaluations(path: Path, noise: str) -> tuple[dict[str, Evaluation], dict[str
     detections = stages.blurred(scenario, stages.read_detections(path), seed)
     bounds = {d: pipeline.bound(scenario, track, landmarks, paths, detections, d) for d in (True, False)}
     found = {}
-    for name, (density, doppler) in stages.VARIANTS.items():
-        history = pipeline.slam(scenario, detections, density, doppler, seed)
-        order = pipeline.largest_order(density, landmarks)
+    for filter_name, doppler in stages.variants_of(scenario, filters):
+        name = stages.variant_name(filter_name, doppler)
+        history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
+        order = pipeline.largest_order(filter_name, landmarks)
         found[name] = evaluate_run(scenario, track, landmarks, history, bounds[doppler], order)
     radius = scenario.evaluation.found_radius
     return found, {name: summarize(e, landmarks, radius) for name, e in found.items()}
 
 
 def study(
-    scenario: Scenario, seeds, folder: Path, jobs: int = 1, progress: Progress = quiet, noises=tuple(NOISES)
+    scenario: Scenario,
+    seeds,
+    folder: Path,
+    jobs: int = 1,
+    progress: Progress = quiet,
+    noises=tuple(NOISES),
+    filters=COMPARED,
 ) -> dict:
     """Run the study.
 
@@ -74,6 +82,7 @@ def study(
     folder : existing folder that keeps the datasets; complete ones are used again
     jobs : worker processes of the estimation
     noises : which of :data:`NOISES`
+    filters : names of the filters
 
     Returns
     -------
@@ -99,16 +108,17 @@ def study(
         "runs": {},
     }
     for noise in noises:
-        found, runs = zip(*(evaluations(path, noise) for path in paths), strict=True)
+        found, runs = zip(*(evaluations(path, noise, filters) for path in paths), strict=True)
         result[noise] = {
             name: _pooled([run[name] for run in runs]) | {"steps": _by_step([f[name] for f in found])}
-            for name in stages.VARIANTS
+            for name in found[0]
         }
         result[noise]["doppler_gain"] = {
             density: mean_interval([
                 run[f"{density}, no Doppler"]["position_rmse_m"] / run[density]["position_rmse_m"] for run in runs
             ])
             for density in ("joint", "marginal")
+            if density in filters
         }  # fmt: skip
         result["runs"][noise] = list(runs)
     return result

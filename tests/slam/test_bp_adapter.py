@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dopslam.models.measurement import measure
+from dopslam.models.scans import from_detections
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
 from dopslam.slam.belief.adapter import Setup, scans_of, slam, synchronized, turning
 
@@ -34,13 +35,13 @@ def world(steps=30, bias=5.0, seed=0, spatial=True):
         anchor=bs, height=0.0, mean=np.array([5.0, -8.0, 0.0, bias]), covariance=np.diag([0.1, 0.1, 0.01, 0.1]) ** 2,
         motion=turning(0.1, 0.0, np.array([0.01, 0.01, 0.001, 0.01])), speed=5.0, spatial=spatial,
     )  # fmt: skip
-    return states, series, setup
+    return states, from_detections(series, doppler_span=50.0), setup
 
 
 @pytest.mark.parametrize("spatial", [True, False])
 def test_tracks_and_maps(spatial):
-    states, series, setup = world(spatial=spatial)
-    history = slam(series, setup, particles=300, seed=1)
+    states, scans, setup = world(spatial=spatial)
+    history = slam(scans, setup, particles=300, rng=np.random.default_rng(1))
     error = history.mean - states
     assert np.sqrt(np.mean(np.sum(error[5:, :2] ** 2, axis=1))) < 0.15
     assert np.abs(error[:, 2]).max() < 0.05
@@ -52,22 +53,22 @@ def test_tracks_and_maps(spatial):
 
 
 def test_bias_is_carried_or_known():
-    _, series, setup = world(bias=5.0)
-    free = slam(series, setup, particles=300, seed=2)
-    known = slam(series, synchronized(setup), particles=300, seed=2)
+    _, scans, setup = world(bias=5.0)
+    free = slam(scans, setup, particles=300, rng=np.random.default_rng(2))
+    known = slam(scans, synchronized(setup), particles=300, rng=np.random.default_rng(2))
     assert np.abs(free.mean[:, 3] - 5.0).max() < 0.5
     np.testing.assert_allclose(known.mean[:, 3], 5.0, atol=1e-6)
     assert np.ptp(free.mean[:, 3]) > 1e-4
 
 
 def test_scans_carry_lengths_and_unit_vectors():
-    _, series, setup = world(steps=2)
-    scan = scans_of(series, setup)[1]
-    np.testing.assert_allclose(scan.distance, SPEED_OF_LIGHT * series.delay[3:6])
+    _, scans, setup = world(steps=2)
+    scan = scans_of(scans, setup)[1]
+    np.testing.assert_allclose(scan.distance, scans.z[3:6, 0])
     np.testing.assert_allclose(np.linalg.norm(scan.aoa, axis=1), 1.0)
     np.testing.assert_allclose(np.sqrt(scan.covariance[:, 0, 0]), 0.05)
-    flat = scans_of(series, Setup(**{**{f: getattr(setup, f) for f in setup.__slots__}, "spatial": False}))[1]
+    flat = scans_of(scans, Setup(**{**{f: getattr(setup, f) for f in setup.__slots__}, "spatial": False}))[1]
     assert flat.covariance.shape[1:] == (4, 4)  # distance, two azimuths, radial velocity
     assert flat.without_doppler.covariance.shape[1:] == (3, 3)
-    np.testing.assert_array_equal(flat.radial_velocity, series.radial_velocity[3:6][: len(flat)])
+    np.testing.assert_array_equal(flat.radial_velocity, scans.z[3:6, 5][: len(flat)])
     assert len(flat) < len(scan)  # steep arrivals are left out in the plane

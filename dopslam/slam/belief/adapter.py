@@ -1,8 +1,6 @@
-"""Belief-propagation SLAM on the detections of a traced scene: from `DetectionSeries` to the filters' common
-`History`.
+"""Belief-propagation SLAM on the measurements that all filters read: from `Scans` to the filters' common `History`.
 
-Azimuths and elevations become unit vectors and tangent covariances, delays become lengths, amplitudes are
-√snr. The clock bias is a coordinate of the agent's particles (0 and no walk for synchronized clocks, as paper
+Azimuths and elevations become unit vectors and tangent covariances, amplitudes are √snr. The clock bias is a coordinate of the agent's particles (0 and no walk for synchronized clocks, as paper
 B assumes). In the plane only the azimuths are used and detections far from the horizontal are left out, as
 paper B does.
 """
@@ -16,13 +14,15 @@ import numpy as np
 from dopslam.errors import FilterError
 from dopslam.models.amplitude import AmplitudeModel, ConstantDetection
 from dopslam.models.detection import SnrDetection
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Kind
+from dopslam.models.scans import Scans
+from dopslam.records import Kind
 from dopslam.slam.belief import geometry
 from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.motion import Motion, SpeedHeading, particles
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.records import AOD_FOR_SINGLE_BOUNCE, Assumptions, Estimate, Form, Parameters, Scan
-from dopslam.slam.history import History
+from dopslam.slam.history import Estimate as CommonEstimate
+from dopslam.slam.history import History, history_of_estimates
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Setup:
 
     Parameters
     ----------
-    anchor : (3,) m, yaw : rad, of the base station's array
+    anchor : (3,) m
     height : m, the receiver's plane
     mean (4,), covariance (4, 4) : [x m, y m, heading rad, bias m] one period before the first step
     motion : of the agent; speed : m/s at the start, speed_deviation : m/s
@@ -49,7 +49,6 @@ class Setup:
     motion: Motion
     speed: float
     speed_deviation: float = 0.0
-    yaw: float = 0.0
     spatial: bool = True
     largest_elevation: float = np.deg2rad(20.0)
     assumptions: Assumptions = field(default_factory=lambda: Assumptions(types=AOD_FOR_SINGLE_BOUNCE))
@@ -66,29 +65,28 @@ def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_wa
     )
 
 
-def scans_of(series: DetectionSeries, setup: Setup) -> list[Scan]:
-    """One scan per snapshot.
+def scans_of(scans: Scans, setup: Setup) -> list[Scan]:
+    """One scan of belief propagation per step.
 
     Raises
     ------
     FilterError
         If a covariance is not positive definite.
     """
-    return [_scan(series, series.rows(k), setup) for k in range(series.steps)]
+    return [_scan(scans, scans.rows(k), setup) for k in range(scans.steps)]
 
 
-def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
-    aoa, aod = series.aoa[rows], series.aod[rows]
-    used = np.ones(len(aoa), bool) if setup.spatial else np.abs(aoa[:, 1]) <= setup.largest_elevation
-    aoa, aod = aoa[used], aod[used]
-    # (delay, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the
-    # elevation.
+def _scan(scans: Scans, rows: slice, setup: Setup) -> Scan:
+    z, amplitude = scans.z[rows], np.ones(len(scans.z)) if scans.snr is None else np.sqrt(scans.snr)
+    used = np.ones(len(z), bool) if setup.spatial else np.abs(z[:, 2]) <= setup.largest_elevation
+    z = z[used]
+    aoa, aod = z[:, 1:3], z[:, 3:5]
+    # (length, AOA az, el, AOD az, el) → (length, tangents): an azimuth error shrinks with the cosine of the elevation.
     doppler = setup.doppler and setup.assumptions.features == "conditional"
     size = 6 if doppler else 5
-    scale = np.ones((len(aoa), size))
-    scale[:, 0] = SPEED_OF_LIGHT
+    scale = np.ones((len(z), size))
     scale[:, 1], scale[:, 3] = np.cos(aoa[:, 1]), np.cos(aod[:, 1])
-    covariance = series.covariance[rows][used][:, :size, :size] * scale[:, :, None] * scale[:, None, :]
+    covariance = scans.covariance[rows][used][:, :size, :size] * scale[:, :, None] * scale[:, None, :]
     if not setup.spatial:
         flat = np.array([0, 1, 3, 5] if doppler else [0, 1, 3])
         covariance = covariance[:, flat][:, :, flat]
@@ -97,32 +95,32 @@ def _scan(series: DetectionSeries, rows: slice, setup: Setup) -> Scan:
     if len(covariance) and np.linalg.eigvalsh(covariance).min() <= 0:
         raise FilterError("adapter: a detection's covariance is not positive definite; remove it or inflate it")
     return Scan(
-        SPEED_OF_LIGHT * series.delay[rows][used],
+        z[:, 0].copy(),
         geometry.unit_vector(aoa[:, 0], aoa[:, 1]),
-        geometry.unit_vector(aod[:, 0] + setup.yaw, aod[:, 1]),
-        np.sqrt(series.snr[rows][used]),
+        geometry.unit_vector(aod[:, 0], aod[:, 1]),
+        amplitude[rows][used],
         np.ascontiguousarray(covariance),
-        series.radial_velocity[rows][used] if doppler else None,
+        z[:, 5].copy() if doppler else None,
     )
 
 
-def filter_of(
-    series: DetectionSeries, setup: Setup, samples: float = 1e6, particles: int = 1000
-) -> RaoBlackwell | Conditional:
-    """The filter with false alarms, detection and search region taken from the detections.
+def filter_of(scans: Scans, setup: Setup, samples: float = 1e6, particles: int = 1000) -> RaoBlackwell | Conditional:
+    """The filter with false alarms, detection and search region taken from the measurements.
 
     samples : number of samples N_s behind the SNR
     """
-    lengths = SPEED_OF_LIGHT * series.delay - float(setup.mean[3])  # without the clock bias, as far as it is known
+    lengths = scans.z[:, 0] - float(setup.mean[3])  # without the clock bias, as far as it is known
     end = float(1.2 * np.max(lengths, initial=1.0))
     assumptions = setup.assumptions
-    if len(series.snr) == 0 or np.ptp(series.snr) == 0:  # drawn from a model without amplitudes
+    if (
+        scans.snr is None or scans.threshold is None or len(scans.snr) == 0 or np.ptp(scans.snr) == 0
+    ):  # drawn from a model without amplitudes
         amplitude, amplitude_end = ConstantDetection(setup.detection_probability), 1.0
         assumptions = replace(assumptions, reacquisition=0.0)
     else:
         # Whatever is in the table was detected: a threshold above its weakest row is not the one it passed.
-        threshold = float(np.sqrt(min(series.threshold, series.snr.min())))
-        amplitude_end = 2 * max(float(np.sqrt(series.snr.max())), threshold)
+        threshold = float(np.sqrt(min(scans.threshold, scans.snr.min())))
+        amplitude_end = 2 * max(float(np.sqrt(scans.snr.max())), threshold)
         amplitude = AmplitudeModel(threshold, samples, setup.false_alarm_tail, amplitude_end)
     parameters = Parameters(
         **asdict(assumptions),
@@ -130,7 +128,7 @@ def filter_of(
         amplitude=amplitude,
         volume=(2 * end) ** (3 if setup.spatial else 2),
         amplitude_end=amplitude_end,
-        false_alarm_rate=max(series.false_alarm_rate, 1e-3),
+        false_alarm_rate=scans.clutter_count,
         distance_end=end,
         rescale_covariance=False,
         spatial=setup.spatial,
@@ -179,42 +177,41 @@ def gaussian_start(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     return mean, slope @ root @ slope.T
 
 
-def slam(series: DetectionSeries, setup: Setup, *, particles: int = 1000, seed: int = 0) -> History:
-    """Track and map from detections.
+def beginning(filter_: RaoBlackwell | Conditional, setup: Setup, rng: np.random.Generator, particles: int):
+    """State of the filter before the first scan."""
+    if isinstance(filter_, Conditional):
+        return filter_.start(*gaussian_start(setup), rng)
+    return filter_.init(*start_of(setup, rng, particles))
+
+
+def slam(scans: Scans, setup: Setup, *, particles: int, rng: np.random.Generator) -> History:
+    """Track and map from measurements.
 
     Returns
     -------
     History
         The record that the EK-PMB filters give: states [x m, y m, heading rad, bias m] and the declared map.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
-    filter_ = filter_of(series, setup, particles=particles)
-    if isinstance(filter_, Conditional):
-        state = filter_.start(*gaussian_start(setup), rng)
-    else:
-        state = filter_.init(*start_of(setup, rng, particles))
+    filter_ = filter_of(scans, setup, particles=particles)
+    state = beginning(filter_, setup, rng, particles)
     estimates = []
-    for scan in scans_of(series, setup):
+    for scan in scans_of(scans, setup):
         state, info = filter_.step(rng, state, scan)
-        estimates.append(info.estimate)
-    return history_of(estimates, setup.assumptions.types)
+        estimates.append(common(info.estimate, setup.assumptions.types))
+    return history_of_estimates(estimates)
 
 
-def history_of(estimates: list[Estimate], types: tuple[Form, ...]) -> History:
-    """Estimates of all steps as the filters' common record."""
+def common(estimate: Estimate, types: tuple[Form, ...]) -> CommonEstimate:
+    """An estimate as the filters' common record: several forms are one kind of landmark."""
     kinds = [Kind.SP if form == Form.PS else Kind.VA for form in types]
-    belief = np.concatenate([np.zeros((0, len(types))), *(e.type_belief for e in estimates)])
-    probability = belief @ np.eye(len(Kind))[kinds]  # several forms are one kind of landmark
-    return History(
-        mean=np.array([[*e.position[:2], e.heading, e.bias] for e in estimates]),
-        covariance=np.array([e.state_covariance for e in estimates]),
-        map_offsets=np.concatenate([[0], np.cumsum([len(e.label) for e in estimates])]).astype(np.int64),
-        position=np.concatenate([np.zeros((0, 3)), *(e.feature for e in estimates)]),
-        position_covariance=np.concatenate([np.zeros((0, 3, 3)), *(e.feature_covariance for e in estimates)]),
-        existence=np.concatenate([np.zeros(0), *(e.existence for e in estimates)]),
-        type_probability=probability,
-        kind=np.where(probability[:, Kind.VA] > 0.5, int(Kind.VA), int(Kind.SP)),
-        track=np.concatenate([np.zeros(0, int), *(e.label for e in estimates)]).astype(np.int64),
+    return CommonEstimate(
+        mean=np.array([*estimate.position[:2], estimate.heading, estimate.bias]),
+        covariance=estimate.state_covariance,
+        position=estimate.feature,
+        position_covariance=estimate.feature_covariance,
+        existence=estimate.existence,
+        type_probability=estimate.type_belief @ np.eye(len(Kind))[kinds],
+        track=estimate.label,
     )
 
 

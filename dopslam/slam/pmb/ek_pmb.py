@@ -185,6 +185,12 @@ def step(posterior, scan, model):
 
 
 @compiled
+def single_step(posterior, scan, model):
+    """:func:`step` alone, for scans that come one at a time."""
+    return step(posterior, scan, model)
+
+
+@compiled
 def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
     """The recursion over all scans; `at[0]` holds the step in work, for the message of an error.
 

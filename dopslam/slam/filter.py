@@ -1,0 +1,238 @@
+"""The contract of a filter, and the table of those that there are.
+
+A filter is a frozen record of choices. What it is told about the world is a :class:`Problem`, the same for all; what it
+reads is one :class:`~dopslam.models.scans.Scans`. ``init`` and ``step`` are the recursion, one scan at a time; a filter
+that has a faster way through a whole run gives ``run`` as well::
+
+    class MyFilter:
+        capabilities = Capabilities()
+
+        def init(self, problem, rng): ...                     # -> state before the first scan
+        def step(self, state, scan, rng): ...                 # -> state, Info(Estimate(...))
+
+``dopslam slam FILE --filter my_module:MyFilter`` runs it. A state holds whatever the filter wants, its problem included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from dopslam.errors import FilterError
+from dopslam.models import ambiguity
+from dopslam.models.detection import DetectionModel, SnrDetection
+from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.scans import Scans, from_detections
+from dopslam.plugins import Table
+from dopslam.records import BaseStations, DetectionSeries
+from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
+from dopslam.slam.snapshot import start as snapshot
+
+FILTERS = Table(
+    "filter",
+    "dopslam.filters",
+    {
+        "joint": "dopslam.slam.pmb.filters:Joint",
+        "marginal": "dopslam.slam.pmb.filters:Marginal",
+        "smoother": "dopslam.slam.pmb.filters:Smoother",
+        "mixture": "dopslam.slam.pmb.filters:Mixture",
+        "bp": "dopslam.slam.belief.filter:Belief",
+    },
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """All that any filter is told, and no more.
+
+    Attributes
+    ----------
+    stations : BaseStations; known positions and orientations
+    mean, covariance : (n,), (n, n); the receiver's state one period before the first scan, [x m, y m, heading rad,
+        bias m(, speed m/s, turn rate rad/s)]
+    motion : CoordinatedTurn; eq. (1), its n says whether speed and turn rate are known or in the state
+    height : m, of the receiver's plane
+    detection : DetectionModel or None; None: p_D follows ρ, with the threshold of the detections
+    undetected : (VA, SP); initial intensity of undetected landmarks [m⁻³]
+    births : (VA, SP); intensity added every step [m⁻³]
+    survival : p_S of a landmark per step
+    doppler_limit : m/s; largest radial velocity that detections can have, the width of clutter in Doppler
+    snapshot : whether the start is found from the scans alone, and mean and covariance are withheld
+    """
+
+    stations: BaseStations
+    mean: np.ndarray
+    covariance: np.ndarray
+    motion: CoordinatedTurn
+    height: float = 0.0
+    detection: DetectionModel | None = None
+    undetected: tuple[float, float] = (1e-7, 4e-6)
+    births: tuple[float, float] = (0.0, 0.0)
+    survival: float = 1.0
+    doppler_limit: float = 25.0
+    snapshot: bool = False
+
+    def __post_init__(self) -> None:
+        n = self.motion.dimension
+        if np.shape(self.mean) != (n,) or np.shape(self.covariance) != (n, n):
+            raise FilterError(
+                f"Problem: mean {np.shape(self.mean)} and covariance {np.shape(self.covariance)} do not fit a motion model "
+                f"of {n} states; give ({n},) and ({n}, {n})"
+            )
+
+    @property
+    def anchor(self) -> np.ndarray:
+        """(3,) m; position of the only base station."""
+        return self.stations.position[0]
+
+    def scans(self, detections: DetectionSeries) -> Scans:
+        """Detections of a run as the filters read them, every delay in the turn of the link's range that the prior says.
+
+        A start from the scans alone knows nothing of the receiver; then the delays themselves say where they begin, and
+        the prior's clock bias only which of the turns is meant, which nothing else could say.
+        """
+        covariance = self.covariance
+        if self.snapshot:
+            covariance = covariance.copy()
+            covariance[[0, 1, 3], [0, 1, 3]] += ambiguity.UNKNOWN**2
+        told = ambiguity.unwrapped(detections, (self.mean, covariance), self.motion, self.anchor, self.height)
+        return from_detections(told, bs_yaw=float(self.stations.yaw[0]), doppler_span=2 * self.doppler_limit)
+
+    def detection_of(self, scans: Scans) -> DetectionModel:
+        """The model of p_D, with the threshold of these detections where it follows their ρ.
+
+        Raises
+        ------
+        FilterError
+            If it shall follow ρ and the detections have no threshold.
+        """
+        if self.detection is not None:
+            return self.detection
+        if scans.threshold is None:
+            raise FilterError(
+                "Problem.detection is None, so that p_D follows the SNR, but the scans have no threshold; give "
+                "Scans.threshold or a detection model"
+            )
+        return SnrDetection(scans.threshold)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a filter can do, as data.
+
+    Attributes
+    ----------
+    doppler : whether it reads the Doppler row
+    states : numbers of receiver states that it can carry: 4, and 6 with speed and turn rate unknown
+    stations : most base stations
+    """
+
+    doppler: bool = True
+    states: tuple[int, ...] = (4,)
+    stations: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What one step tells; nothing of it is carried on.
+
+    Attributes
+    ----------
+    estimate : state and map after the scan
+    nis, nis_rows : νᵀS⁻¹ν of the likeliest association and its degrees of freedom; 0 rows where a filter has none
+    weights : (g,); normalized association weights, the likeliest first
+    associations : (g, M); track of each measurement, −1 the BS, −2 new or clutter
+    existence : (M,); predicted existence of the track each measurement went to
+    """
+
+    estimate: Estimate
+    nis: float = float("nan")
+    nis_rows: int = 0
+    weights: np.ndarray = field(default_factory=lambda: np.ones(0))
+    associations: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
+    existence: np.ndarray = field(default_factory=lambda: np.ones(0))
+
+
+@runtime_checkable
+class Filter(Protocol):
+    """What every entry of :data:`FILTERS` is."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do; a class attribute where that is always the same."""
+        ...
+
+    def init(self, problem: Problem, rng: np.random.Generator) -> Any:
+        """State before the first scan."""
+
+    def step(self, state: Any, scan: Scans, rng: np.random.Generator) -> tuple[Any, Info]:
+        """State after a scan (``Scans`` of one step), and what is to be told of it."""
+
+
+def run(
+    problem: Problem, detections: DetectionSeries | Scans, chosen: Filter, seed: int = 0
+) -> tuple[History, Diagnostics]:
+    """Track and map of a whole run.
+
+    Parameters
+    ----------
+    problem : what the filter is told
+    detections : of an estimator, or ready as measurements
+    chosen : the filter
+    seed : of its random numbers, if it draws any
+
+    Raises
+    ------
+    FilterError
+        If the filter cannot do what the problem asks, or fails; or no scan tells where the receiver starts.
+    """
+    scans = detections if isinstance(detections, Scans) else problem.scans(detections)
+    check(chosen, problem, scans)
+    if problem.snapshot:
+        found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=uses_doppler(chosen))
+        problem = replace(problem, mean=found.mean, covariance=found.covariance)
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    whole = getattr(chosen, "run", None)
+    return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
+
+
+def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
+    """Refuse what a filter cannot do, by its capabilities."""
+    if not isinstance(chosen, Filter):
+        raise FilterError(
+            f"{chosen!r} is not a filter: it needs 'capabilities', 'init' and 'step' (see dopslam.slam.filter)"
+        )
+    name, able = type(chosen).__name__, chosen.capabilities
+    if problem.motion.dimension not in able.states:
+        raise FilterError(
+            f"{name} carries {' or '.join(map(str, able.states))} states, the motion model has {problem.motion.dimension}; "
+            'set filter.motion = "known" or choose another filter'
+        )
+    stations = max(len(problem.stations), 1 + int(scans.anchor.max(initial=0)))
+    if stations > able.stations:
+        raise FilterError(f"{name} knows {able.stations} base station(s), the problem has {stations}")
+
+
+def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
+    """The recursion, one scan after the other: :func:`run` for filters without a way of their own."""
+    state, told = chosen.init(problem, rng), []
+    for k in range(scans.steps):
+        try:
+            state, info = chosen.step(state, scans.take([k]), rng)
+        except (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError) as error:
+            raise FilterError(f"step {k}: {type(chosen).__name__}: {error}") from error
+        told.append(info)
+    return history_of_estimates([info.estimate for info in told]), Diagnostics(
+        nis=np.array([info.nis for info in told]),
+        nis_rows=np.array([info.nis_rows for info in told], dtype=np.int64),
+        weights=tuple(info.weights for info in told),
+        associations=tuple(info.associations for info in told),
+        existence=tuple(info.existence for info in told),
+    )
+
+
+def uses_doppler(chosen: Filter) -> bool:
+    """Whether a filter, as chosen, reads the Doppler row."""
+    return chosen.capabilities.doppler and getattr(chosen, "doppler", True)

@@ -1,0 +1,145 @@
+"""The EK-PMB filters of paper A as records of choices: joint and marginal density, fixed-lag smoother, mixture.
+
+They share one recursion (:mod:`dopslam.slam.pmb.ek_pmb`); what differs is what is kept after a step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from dopslam.models.scans import Scans
+from dopslam.slam.filter import Capabilities, Info, Problem
+from dopslam.slam.history import Diagnostics, History, estimate_of
+from dopslam.slam.pmb import ek_pmb, mixture, smoother
+from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density
+
+
+class State(NamedTuple):
+    """What the recursion carries from scan to scan: the density, and how many measurements it has read."""
+
+    problem: Problem
+    density: Any
+    measurements: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joint:
+    """EK-PMB with the cross-covariances of receiver and map kept through time.
+
+    Attributes
+    ----------
+    doppler : use the Doppler row
+    iterations : linearizations per update; 1 is the plain EKF
+    associations : γ, data associations kept per step
+    gate : squared Mahalanobis distance beyond which a measurement cannot belong to a track
+    prune_existence : landmarks below this existence are dropped
+    linearization : ``"extended"``, or ``"cubature"`` points instead of Jacobians
+    reweight : weight associations by the evidence of the joint update
+    thinning : reduce the undetected intensity inside the field of view after every scan
+    """
+
+    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6))
+    largest_order: ClassVar[int | None] = 1  # reflections of a virtual anchor that the map may hold; None: any
+    correlated: ClassVar[bool] = True
+
+    doppler: bool = True
+    iterations: int = 3
+    associations: int = 10
+    gate: float = 40.0
+    prune_existence: float = 1e-3
+    linearization: str = "extended"
+    reweight: bool = False
+    thinning: bool = False
+
+    def parameters(self, problem: Problem, scans: Scans) -> FilterParameters:
+        """Choices and problem in the form that the recursion reads."""
+        return FilterParameters(
+            joint=self.correlated,
+            doppler=self.doppler,
+            iterations=self.iterations,
+            associations=self.associations,
+            gate=self.gate,
+            prune=self.prune_existence,
+            cubature=self.linearization == "cubature",
+            reweight=self.reweight,
+            thinning=self.thinning,
+            survival=problem.survival,
+            intensity=problem.undetected,
+            birth_intensity=problem.births,
+            detection=problem.detection_of(scans),
+        )
+
+    def init(self, problem: Problem, rng: np.random.Generator) -> State:
+        """The prior of the receiver and an empty map."""
+        return State(problem, self._start(initial_density(problem.mean, problem.covariance)))
+
+    def step(self, state: State, scan: Scans, rng: np.random.Generator) -> tuple[State, Info]:
+        """One recursion (30)."""
+        problem = state.problem
+        model = compile_model(self.parameters(problem, scan), problem.motion, problem.anchor, problem.height)
+        ek_pmb.check_inputs(scan, self.parameters(problem, scan), model, problem.mean)
+        read = ek_pmb.scan_of(scan, 0, self.doppler)._replace(first=state.measurements)
+        density, told = self._step(state.density, read, model)
+        info = Info(estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence)
+        return State(problem, density, state.measurements + len(scan.z)), info
+
+    def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
+        """The recursion over all scans, compiled as one."""
+        return ek_pmb.run(*self._arguments(problem, scans))
+
+    def _arguments(self, problem: Problem, scans: Scans):
+        prior = (problem.mean, problem.covariance)
+        return scans, prior, problem.motion, problem.anchor, self.parameters(problem, scans), problem.height
+
+    def _start(self, density: PMB) -> Any:
+        return density
+
+    def _reported(self, density: Any) -> PMB:
+        return density
+
+    def _step(self, density: Any, read: Any, model: Model) -> tuple[Any, ek_pmb.Info]:
+        return ek_pmb.single_step(density, read, model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Marginal(Joint):
+    """Paper A's filter: only the marginals of receiver and map survive a step, (31)-(32); it becomes overconfident."""
+
+    correlated: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoother(Joint):
+    """The joint filter, relinearized over the last ``lag`` steps; every step is estimated from the scans up to it.
+
+    ``step`` is the filter's own: the window is kept by ``run`` alone.
+    """
+
+    lag: int = 5
+
+    def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
+        """Filter and smooth a whole run."""
+        return smoother.run(*self._arguments(problem, scans), smoother.SmootherParameters(lag=self.lag))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mixture(Joint):
+    """EK-PMBM: no projection, at most ``hypotheses`` global hypotheses are kept."""
+
+    hypotheses: int = 20
+
+    def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
+        """Filter a whole run."""
+        return mixture.run(*self._arguments(problem, scans), self.hypotheses)
+
+    def _start(self, density: PMB) -> Any:
+        return [mixture.Hypothesis(0.0, density)]
+
+    def _reported(self, density: Any) -> PMB:
+        return mixture.merged(density)
+
+    def _step(self, density: Any, read: Any, model: Model) -> tuple[Any, ek_pmb.Info]:
+        return mixture.step(density, read, model, self.hypotheses)
