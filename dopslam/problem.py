@@ -10,13 +10,14 @@ from scipy.linalg import block_diag
 from dopslam.config.belief import BeliefConfig
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
+from dopslam.filters import FILTERS
 from dopslam.models.detection import ConstantDetection
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.records import BaseStations, DetectionSeries, Kind, Landmarks
 from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.records import TYPES, Assumptions
-from dopslam.slam.filter import FILTERS, Filter, Problem
+from dopslam.slam.filter import Filter, Problem
 
 
 def true_motion(scenario: Scenario) -> CoordinatedTurn:
@@ -166,7 +167,7 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
 
     Parameters
     ----------
-    name : of :data:`~dopslam.slam.filter.FILTERS`, or ``module:Class``; default the scenario's
+    name : of :data:`~dopslam.filters.FILTERS`, or ``module:Class``; default the scenario's
     doppler : whether it shall use Doppler, if it can
 
     Raises

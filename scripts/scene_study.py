@@ -50,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", nargs="+", choices=list(GENERATORS), default=list(GENERATORS))
     parser.add_argument("--seeds", nargs="+", default=["0-4"], help="numbers and spans: 0-4 7")
-    parser.add_argument("--filter", dest="density", default="joint", choices=["joint", "marginal", "smoother", "bp"])
+    parser.add_argument("--filter", dest="density", default="joint", help="any that dopslam run takes")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("results/scenes"))
     parser.add_argument("--replay", action="store_true", help="filter again, from the detections that are there")

@@ -63,7 +63,7 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {"errors", "records", "compiled", "llvm", "config", "generators", "store", "link", "cluster"},
+    {"errors", "filters", "records", "compiled", "llvm", "config", "generators", "store", "link", "cluster"},
     {"models", "raytracing"},
     {"slam", "simulate", "evaluate"},
     {"problem", "report", "preflight"},

@@ -30,7 +30,7 @@ def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
 
 def filter_names(chosen: list[str] | None) -> list[str]:
     """Names of filters from ``--filter``, repeated or with commas; all are known."""
-    from dopslam.slam.filter import FILTERS
+    from dopslam.filters import FILTERS
 
     names = [name.strip() for text in chosen or () for name in text.split(",") if name.strip()]
     for name in names:

@@ -43,6 +43,7 @@ from dopslam.config.types import (
     Vector4,
 )
 from dopslam.errors import ConfigError
+from dopslam.filters import FILTERS
 
 Deviations = tuple[Deviation, Deviation, Deviation, Deviation]
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
@@ -201,10 +202,10 @@ class Estimator(Frozen):
     @classmethod
     def _known_kind(cls, kind: str) -> str:
         from estimation.errors import ModelError  # not at the top: a scenario is read without any estimator
-        from estimation.estimators import checked
+        from estimation.estimators import ESTIMATORS
 
         try:
-            return checked(kind)
+            return ESTIMATORS.checked(kind)
         except ModelError as error:
             raise ValueError(str(error)) from None
 
@@ -212,7 +213,7 @@ class Estimator(Frozen):
 class Filter(Frozen):
     """EK-PMB filter (paper A, Section IV); defaults are the conventions of its reference figures."""
 
-    density: Annotated[str, Field(min_length=1)] = "joint"  # a name of slam.filter.FILTERS, or "module:Class"
+    density: str = "joint"  # a name of dopslam.filters.FILTERS, or an own "module:Class" or "file.py:Class"
     options: dict[str, Any] = Field(default_factory=dict)  # of a filter of one's own
     start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
     particles: Count = 1000  # of belief propagation
@@ -236,6 +237,14 @@ class Filter(Frozen):
     turn_rate_std: Positive = 0.03  # rad/s
     speed_walk: Positive = 0.1  # m/s per step
     turn_rate_walk: Positive = 0.002  # rad/s per step
+
+    @field_validator("density")
+    @classmethod
+    def _known_density(cls, name: str) -> str:
+        try:
+            return FILTERS.checked(name)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
 
 
 class Evaluation(Frozen):

@@ -13,11 +13,11 @@ from dopslam.evaluate import detections as matching
 from dopslam.evaluate import mapping
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
+from dopslam.filters import FILTERS
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
 from dopslam.report import figures, folder, page, replay, tables
-from dopslam.slam.filter import FILTERS
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
 

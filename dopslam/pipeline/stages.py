@@ -26,7 +26,6 @@ from dopslam.models.scans import CLUTTER
 from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
-from dopslam.slam.filter import FILTERS
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
@@ -295,7 +294,7 @@ def slam(
 
     Parameters
     ----------
-    name : of :data:`dopslam.slam.filter.FILTERS`, or ``module:Class``; default the scenario's
+    name : of :data:`dopslam.filters.FILTERS`, or ``module:Class``; default the scenario's
     doppler : whether the Doppler row is used, if the filter can
     seed : of a filter that draws
 

@@ -1,4 +1,4 @@
-"""The contract of a filter, and the table of those that there are.
+"""The contract of a filter; those that there are stand in :data:`dopslam.filters.FILTERS`.
 
 A filter is a frozen record of choices. What it is told about the world is a :class:`Problem`, the same for all; what it
 reads is one :class:`~dopslam.models.scans.Scans`. ``init`` and ``step`` are the recursion, one scan at a time; a filter
@@ -25,22 +25,9 @@ from dopslam.models import ambiguity
 from dopslam.models.detection import DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans, from_detections
-from dopslam.plugins import Table
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
 from dopslam.slam.snapshot import start as snapshot
-
-FILTERS = Table(
-    "filter",
-    "dopslam.filters",
-    {
-        "joint": "dopslam.slam.pmb.filters:Joint",
-        "marginal": "dopslam.slam.pmb.filters:Marginal",
-        "smoother": "dopslam.slam.pmb.filters:Smoother",
-        "mixture": "dopslam.slam.pmb.filters:Mixture",
-        "bp": "dopslam.slam.belief.filter:Belief",
-    },
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +144,7 @@ class Info:
 
 @runtime_checkable
 class Filter(Protocol):
-    """What every entry of :data:`FILTERS` is."""
+    """What every entry of :data:`dopslam.filters.FILTERS` is."""
 
     @property
     def capabilities(self) -> Capabilities:

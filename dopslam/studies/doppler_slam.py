@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dopslam.evaluate.bounds import situation_bound
+from dopslam.filters import FILTERS
 from dopslam.problem import told
 from dopslam.report.figures import house_style
 from dopslam.simulate.world import section_v, unknown_motion
-from dopslam.slam.filter import FILTERS
 from dopslam.slam.pmb.filters import Joint, Smoother
 from dopslam.studies.montecarlo import Study, run_study, summarize
 

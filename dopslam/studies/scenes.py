@@ -17,6 +17,7 @@ from dopslam.errors import DopslamError
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate import mapping
 from dopslam.evaluate.run import evaluate_run, summarize
+from dopslam.filters import FILTERS
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
 from dopslam.records import Kind
@@ -94,7 +95,7 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     track, landmarks, paths, _ = stages.read_truth(data)
     detections = stages.read_detections(data)
     assert paths is not None
-    doppler = density != "bp"
+    doppler = FILTERS[density].capabilities.doppler
     history = pipeline.slam(scenario, detections, density, doppler, seed)
     bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
     order = pipeline.largest_order(density, landmarks)

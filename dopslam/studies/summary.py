@@ -47,7 +47,7 @@ def study(
     Parameters
     ----------
     scenario : Scenario
-    filter_name : of :data:`dopslam.slam.filter.FILTERS`
+    filter_name : of :data:`dopslam.filters.FILTERS`
     prior : 'std' or 'var', the reading of `track.start_std`
     doppler : whether the filter uses Doppler
     doppler_std : its standard deviation [m/s], default the scenario's

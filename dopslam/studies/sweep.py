@@ -32,9 +32,9 @@ from matplotlib.figure import Figure
 
 from dopslam.config.scenario import Scenario, load
 from dopslam.errors import ConfigError
+from dopslam.filters import FILTERS
 from dopslam.pipeline.file import split_variant
 from dopslam.pipeline.stages import Progress, quiet
-from dopslam.slam.filter import FILTERS
 from dopslam.studies import montecarlo
 from dopslam.studies import summary as studies
 from dopslam.studies import traced as traced_study

@@ -10,26 +10,27 @@ A kind is a name of :data:`ESTIMATORS`, the name of an entry point in the group 
 from __future__ import annotations
 
 import difflib
-import importlib
-import importlib.metadata
-import importlib.util
 import inspect
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..errors import EstimationError, ModelError
+from ..plugins import Table
 
 if TYPE_CHECKING:
     from ..detections import Detections
     from ..signal.model import SignalModel
 
-ESTIMATORS = {
-    "nomp": "estimation.estimators.nomp:Nomp",
-    "sage": "estimation.estimators.sage:Sage",
-    "esprit": "estimation.estimators.esprit:Esprit",
-}
-"""The estimators that come with the package, as ``module:Class``: none is imported before it is used."""
-GROUP = "dopslam.estimators"
+ESTIMATORS = Table(
+    "estimator",
+    "dopslam.estimators",
+    {
+        "nomp": "estimation.estimators.nomp:Nomp",
+        "sage": "estimation.estimators.sage:Sage",
+        "esprit": "estimation.estimators.esprit:Esprit",
+    },
+    ModelError,
+)
+"""The estimators that there are; none is imported before it is used."""
 
 
 class Estimator(Protocol):
@@ -40,33 +41,6 @@ class Estimator(Protocol):
         ...
 
 
-def known() -> dict[str, str]:
-    """Name → ``module:Class`` of all estimators: the package's own and those that installed packages announce."""
-    announced = {point.name: point.value for point in importlib.metadata.entry_points(group=GROUP)}
-    return announced | ESTIMATORS
-
-
-def checked(kind: str) -> str:
-    """The kind if it is a name or can be a ``module:Class``; nothing is imported.
-
-    Raises
-    ------
-    ModelError
-        with the nearest known name.
-    """
-    module, colon, name = kind.partition(":")
-    if colon and module and name.isidentifier():
-        return kind
-    names = known()
-    if kind in names:
-        return kind
-    near = difflib.get_close_matches(kind, names, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}."
-    raise ModelError(
-        f"no such estimator as {kind!r}; {hint} An estimator of your own is 'module:Class' or 'file.py:Class'"
-    )
-
-
 def find(kind: str) -> type:
     """The class of a kind.
 
@@ -75,19 +49,11 @@ def find(kind: str) -> type:
     ModelError
         if there is no such name, module or class, or the class has no ``run``.
     """
-    where = known().get(checked(kind), kind)
-    module, _, name = where.partition(":")
-    try:
-        found = getattr(_imported(module), name, None)
-    except (ImportError, OSError, SyntaxError) as error:
-        raise ModelError(
-            f"estimator {kind!r}: module {module!r} cannot be imported ({type(error).__name__}: {error}); install it, "
-            "put its folder on PYTHONPATH, or give its file, 'path/to/file.py:Class'"
-        ) from error
-    if not callable(found):
-        raise ModelError(f"estimator {kind!r}: module {module!r} has no class {name!r}")
+    found = ESTIMATORS[kind]
     if not callable(getattr(found, "run", None)):
-        raise ModelError(f"estimator {kind!r}: {name} has no method run(signal) that returns estimation.Detections")
+        raise ModelError(
+            f"estimator {kind!r}: {found.__name__} has no method run(signal) that returns estimation.Detections"
+        )
     return found
 
 
@@ -139,15 +105,3 @@ def estimated(estimator: Estimator, signal: Any) -> Detections:
             f"got {type(found).__name__}; estimation.Detections.of(paths, covariance, ...) makes them"
         )
     return found
-
-
-def _imported(module: str):
-    if not module.endswith(".py"):
-        return importlib.import_module(module)
-    path = Path(module)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ImportError(f"no file {module}")
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded

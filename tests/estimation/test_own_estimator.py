@@ -11,7 +11,7 @@ from dopslam.errors import ConfigError
 from dopslam.link import signal_model
 from dopslam.pipeline import stages
 from estimation import Detections, EstimationError, ModelError, PathTable, SignalModel, comb, digital, ura
-from estimation.estimators import ESTIMATORS, checked, estimated, find, make
+from estimation.estimators import ESTIMATORS, estimated, find, make
 
 OWN = '''
 import numpy as np
@@ -96,7 +96,7 @@ def test_entry_points_are_names(monkeypatch, own):
 
     point = metadata.EntryPoint("mine", f"{own}:Strongest", "dopslam.estimators")
     monkeypatch.setattr(metadata, "entry_points", lambda group: [point] if group == "dopslam.estimators" else [])
-    assert checked("mine") == "mine" and find("mine").__name__ == "Strongest"
+    assert ESTIMATORS.checked("mine") == "mine" and find("mine").__name__ == "Strongest"
 
 
 class Snapshots:

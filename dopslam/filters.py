@@ -1,0 +1,40 @@
+"""The filters by name, and by class: ``dopslam.filters.Joint(iterations=1)``. Nothing is imported before it is used.
+
+A package installed beside adds its own by an entry point of the group ``dopslam.filters``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from dopslam.errors import ConfigError
+from estimation.plugins import Table
+
+if TYPE_CHECKING:
+    from dopslam.slam.belief.filter import Belief as Belief
+    from dopslam.slam.pmb.filters import Joint as Joint
+    from dopslam.slam.pmb.filters import Marginal as Marginal
+    from dopslam.slam.pmb.filters import Mixture as Mixture
+    from dopslam.slam.pmb.filters import Smoother as Smoother
+
+_OWN = {
+    "joint": "dopslam.slam.pmb.filters:Joint",
+    "marginal": "dopslam.slam.pmb.filters:Marginal",
+    "smoother": "dopslam.slam.pmb.filters:Smoother",
+    "mixture": "dopslam.slam.pmb.filters:Mixture",
+    "bp": "dopslam.slam.belief.filter:Belief",
+}
+FILTERS = Table("filter", "dopslam.filters", _OWN, ConfigError)
+"""The only place where the names of filters are spelled."""
+
+_CLASSES = {where.partition(":")[2]: name for name, where in _OWN.items()}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _CLASSES:
+        return FILTERS[_CLASSES[name]]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; filters are {', '.join(_CLASSES)}")
+
+
+def __dir__() -> list[str]:
+    return ["FILTERS", *_CLASSES]

@@ -1,0 +1,102 @@
+"""Tables of what is chosen by name: estimators, filters, formats. A name is spelled in one table and nowhere else.
+
+An entry is written ``"module:object"`` and imported when it is asked for, so that listing names costs nothing. A package
+installed beside adds its own by an entry point of the table's group; one's own class needs no name: ``"module:Class"``,
+or ``"path/to/file.py:Class"`` for a module that is not installed.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.metadata
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+
+class Table(Mapping[str, Any]):
+    """Names and what they stand for.
+
+    Parameters
+    ----------
+    what : what an entry is, for messages, e.g. ``"filter"``
+    group : entry-point group of plug-ins, e.g. ``"dopslam.filters"``
+    entries : name → ``"module:object"``
+    error : raised for what cannot be found
+    """
+
+    def __init__(self, what: str, group: str, entries: Mapping[str, str], error: type[Exception]) -> None:
+        self._what, self._group, self._own, self._error = what, group, dict(entries), error
+
+    def _all(self) -> dict[str, str]:
+        announced = {point.name: point.value for point in importlib.metadata.entry_points(group=self._group)}
+        return self._own | {name: where for name, where in announced.items() if name not in self._own}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+    def checked(self, name: str) -> str:
+        """The name if it is known or can be a ``module:Class``; nothing is imported.
+
+        Raises
+        ------
+        error
+            With the nearest known name.
+        """
+        module, colon, attribute = name.partition(":")
+        known = self._all()
+        if name in known or (colon and module and attribute.isidentifier()):
+            return name
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}."
+        raise self._error(
+            f"no such {self._what} as {name!r}; {hint} One of your own is 'module:Class' or 'path/to/file.py:Class'"
+        )
+
+    def __getitem__(self, name: str) -> Any:
+        """What a name, ``module:Class`` or ``file.py:Class`` stands for.
+
+        Raises
+        ------
+        error
+            With the nearest known name, or why the module gives no such object.
+        """
+        where = self._all().get(self.checked(name), name)
+        module, _, attribute = where.partition(":")
+        try:
+            found = getattr(_imported(module), attribute, None)
+        except Exception as error:  # a plug-in can fail at import in any way
+            raise self._error(
+                f"{self._what} {name!r}: module {module!r} cannot be imported ({type(error).__name__}: {error}); install "
+                "it, put its folder on PYTHONPATH, or give its file, 'path/to/file.py:Class'"
+            ) from error
+        if not callable(found):
+            raise self._error(f"{self._what} {name!r}: module {module!r} has no class {attribute!r}")
+        return found
+
+
+def _imported(module: str) -> Any:
+    if not module.endswith(".py"):
+        return importlib.import_module(module)
+    path = Path(module).resolve()
+    name = f"dopslam_own_{path.stem}"
+    loaded = sys.modules.get(name)
+    if loaded is not None and getattr(loaded, "__file__", None) == str(path):
+        return loaded
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ImportError(f"no file {module}")
+    loaded = importlib.util.module_from_spec(spec)
+    sys.modules[name] = loaded  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(loaded)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return loaded
