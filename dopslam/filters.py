@@ -5,17 +5,10 @@ A package installed beside adds its own by an entry point of the group ``dopslam
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dopslam.errors import ConfigError
 from estimation.plugins import Table
-
-if TYPE_CHECKING:
-    from dopslam.slam.belief.filter import Belief as Belief
-    from dopslam.slam.pmb.filters import Joint as Joint
-    from dopslam.slam.pmb.filters import Marginal as Marginal
-    from dopslam.slam.pmb.filters import Mixture as Mixture
-    from dopslam.slam.pmb.filters import Smoother as Smoother
 
 _OWN = {
     "joint": "dopslam.slam.pmb.filters:Joint",

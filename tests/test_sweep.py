@@ -51,7 +51,7 @@ def test_the_numbers_do_not_depend_on_the_workers(tmp_path):
         ("[0.1, 1.0]", "0.1", "give a list"),
         ("[vary]", "[varied]", "unknown key"),
         ('"ring_road"', '"ringroad"', "did you mean 'ring_road'"),
-        ("runs = 3", 'filter = "best"', "possible are"),
+        ("runs = 3", 'filter = "best"', "known are joint"),
         ("[vary]", "[vary", "not a readable sweep"),
     ],
 )
