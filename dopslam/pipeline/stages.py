@@ -20,6 +20,7 @@ from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
 from dopslam.evaluate.run import true_association
+from dopslam.filters import FILTERS
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure
 from dopslam.models.scans import CLUTTER
