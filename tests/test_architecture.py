@@ -63,10 +63,10 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {"errors", "filters", "records", "compiled", "llvm", "config", "generators", "store", "link", "cluster"},
+    {"errors", "filters", "records", "compiled", "llvm", "config", "generators", "plans", "store", "link", "cluster"},
     {"models", "raytracing"},
     {"slam", "simulate", "evaluate"},
-    {"problem", "report", "preflight"},
+    {"problem", "report", "preflight", "create"},
     {"pipeline"},
     {"datasets"},
     {"formats"},

@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError
 from dopslam.cli.failure import sentence
 
 VERBS = {
+    "new": "Write a scene folder that runs, from a kind, a floor plan, a map, a model or a builtin scene.",
     "run": "Trace, synthesize, estimate, run SLAM, bound and evaluate one scenario; leaves a results folder.",
     "simulate": "Draw a track and detections from the measurement model into a dataset file, without tracing.",
     "trace": "Drive a track through a scene and trace its paths into a dataset file.",

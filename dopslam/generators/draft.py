@@ -65,17 +65,27 @@ class Sheet:
         return matrix
 
 
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles of any form: ``vertices`` (V, 3) m, ``faces`` (F, 3) rows of them."""
+
+    name: str
+    material: str
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
 @dataclass(frozen=True)
 class Generated:
     """A scene and how it is used.
 
     Attributes
     ----------
-    shapes : boxes and sheets
+    shapes : boxes, sheets and meshes
     keys : scenario keys as nested dictionaries (``base_station``, ``receiver``, ``radio``, ``track``, ``trace`` …)
     """
 
-    shapes: tuple[Box | Sheet, ...]
+    shapes: tuple[Box | Sheet | Mesh, ...]
     keys: dict
 
 

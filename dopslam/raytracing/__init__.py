@@ -4,13 +4,20 @@ The only room that imports Sionna and Mitsuba, and only when something is traced
 cheap.
 """
 
-from dopslam.raytracing.scene import LoadedScene, SceneSource, builtin_scenes, load_geometry, load_scene
+from dopslam.raytracing.scene import (
+    LoadedScene,
+    SceneSource,
+    builtin_scenes,
+    defined_materials,
+    load_geometry,
+    load_scene,
+)
 from dopslam.raytracing.settings import ScatterPoints, TraceSettings
-from dopslam.raytracing.surfaces import Surfaces, floor_plan, position_faults
+from dopslam.raytracing.surfaces import Surfaces, floor_plan, position_faults, solid
 from dopslam.raytracing.traced import Traced, join
 from dopslam.raytracing.tracer import Tracer, trace
 
 __all__ = [
     "LoadedScene", "ScatterPoints", "SceneSource", "Surfaces", "TraceSettings", "Traced", "Tracer",
-    "builtin_scenes", "floor_plan", "join", "load_geometry", "load_scene", "position_faults", "trace",
+    "builtin_scenes", "defined_materials", "floor_plan", "join", "load_geometry", "load_scene", "position_faults", "solid", "trace",
 ]  # fmt: skip

@@ -246,17 +246,32 @@ def undefined_materials(root: ET.Element, carrier_frequency: float, file: Path) 
     return wrong
 
 
+def defined_materials(source: SceneSource, carrier_frequency: float) -> dict[str, str]:
+    """Material of a scene → the one most like it, for every ITU material in use that is undefined at this frequency."""
+    file = scene_file(source.path)
+    root, table = ET.fromstring(source.xml or file.read_text(encoding="utf-8")), _itu_table()
+    used = {name.removeprefix("mat-"): itu for name, itu, _ in _used_itu_types(root) if itu in table}
+    ghz = carrier_frequency / 1e9
+    wrong = {name: itu for name, itu in used.items() if not any(low <= ghz <= high for low, high in table[itu])}
+    return {name: other for name, itu in wrong.items() if (other := _most_alike(itu, ghz)) is not None}
+
+
 def _other_material(name: str, itu: str, ghz: float) -> str:
     """The remedy: of the materials defined at this frequency the one that is most alike where both are defined."""
-    table = _itu_table()
-    defined = [n for n, rows in table.items() if n != "vacuum" and any(low <= ghz <= high for low, high in rows)]
-    if not defined:
+    alike = _most_alike(itu, ghz)
+    if alike is None:
         return "no ITU material is: choose another radio.carrier_frequency, or a radio-material with values of your own"
-    alike = min(defined, key=lambda other: abs(_permittivity(other) - _permittivity(itu)))
     return (
         f"map it in the scenario: [scene.materials] {name.removeprefix('mat-')} = {alike!r} (of all defined there the "
         f"nearest in permittivity; or another ITU type)"
     )
+
+
+def _most_alike(itu: str, ghz: float) -> str | None:
+    """Of the materials defined at this frequency the one nearest in permittivity."""
+    table = _itu_table()
+    defined = [n for n, rows in table.items() if n != "vacuum" and any(low <= ghz <= high for low, high in rows)]
+    return min(defined, key=lambda other: abs(_permittivity(other) - _permittivity(itu)), default=None)
 
 
 def _permittivity(itu: str) -> float:

@@ -211,6 +211,23 @@ def position_faults(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     return [what for _, what in sorted(wrong)]
 
 
+def solid(surfaces: Surfaces, points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) m lie inside of a closed object; one that reaches around the whole scene is no obstacle."""
+    lower, upper = _bounds(len(surfaces.objects), surfaces.triangle_object, surfaces.triangles)
+    points, inside = np.asarray(points, dtype=float), np.zeros(len(points), dtype=bool)
+    if not len(surfaces.objects):
+        return inside
+    widest = upper[:, :2].max(axis=0) - lower[:, :2].min(axis=0)
+    for index in range(len(surfaces.objects)):
+        if np.all(upper[index, :2] - lower[index, :2] > 0.9 * widest):
+            continue
+        rows = np.flatnonzero(np.all((points >= lower[index]) & (points <= upper[index]), axis=1))
+        if len(rows):
+            mesh = surfaces.triangles[surfaces.triangle_object == index]
+            inside[rows] |= np.abs(winding_number(points[rows], mesh)) > 0.5
+    return inside
+
+
 def _text(point: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.3f}" for value in point) + ")"
 

@@ -1,0 +1,103 @@
+"""GeoJSON: floor plans in meters, maps in degrees.
+
+Lines are walls, areas are blocks (or, where one encloses all the others, the outline of a room); ``height`` [m],
+``material`` (ITU type) and ``name`` of a feature's properties are used. Coordinates that span less than 0.2 are taken for
+degrees of longitude and latitude: no plan is 20 cm wide, and no map 20 km.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from dopslam.errors import ConfigError
+from dopslam.plans.raise_ import Feature
+
+DEGREES = 0.2
+EARTH = 6_378_137.0  # m, equatorial radius of WGS 84
+
+
+def read_geojson(path: Path) -> tuple[list[Feature], bool]:
+    """The lines and areas of a file in meters, and whether it is a map: it was in degrees.
+
+    Raises
+    ------
+    ConfigError
+        If it is no GeoJSON, or holds neither.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as GeoJSON ({error})") from error
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: a GeoJSON object is expected, with a type and features")
+    entries = tree.get("features", [tree])
+    features: list[Feature] = []
+    for number, entry in enumerate(entries if isinstance(entries, list) else [], start=1):
+        try:
+            features += _features(entry, number)
+        except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
+            raise ConfigError(f"{path}: feature {number} is malformed ({error})") from error
+    if not features:
+        raise ConfigError(f"{path}: holds no LineString and no Polygon; draw walls as lines or blocks as polygons")
+    return in_meters(features), in_degrees(features)
+
+
+def _features(entry: dict, number: int) -> list[Feature]:
+    geometry = entry.get("geometry", entry) or {}
+    properties = entry.get("properties") or {}
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if kind == "GeometryCollection":
+        return [
+            f
+            for part in geometry["geometries"]
+            for f in _features({"geometry": part, "properties": properties}, number)
+        ]
+    parts = {
+        "LineString": lambda: [(coordinates, False)],
+        "MultiLineString": lambda: [(line, False) for line in coordinates],
+        "Polygon": lambda: [(coordinates, True)],
+        "MultiPolygon": lambda: [(area, True) for area in coordinates],
+    }.get(kind, list)()
+    name = str(properties.get("name") or f"{'block' if kind and 'Polygon' in kind else 'wall'}_{number}")
+    height = properties.get("height")
+    common = {
+        "height": None if height is None else _positive(height),
+        "material": properties.get("material"),
+    }
+    found = []
+    for points, area in parts:
+        rings = [np.array([p[:2] for p in ring], dtype=float) for ring in (points if area else [points])]
+        if not all(np.isfinite(ring).all() and ring.ndim == 2 for ring in rings):
+            raise ValueError("a coordinate is no number")
+        found.append(Feature(name, rings[0], area, tuple(rings[1:]), **common))
+    return found
+
+
+def _positive(height) -> float:
+    if not 0 < float(height) < 1000:
+        raise ValueError(f"height {height!r}; give meters, above 0")
+    return float(height)
+
+
+def in_degrees(features: list[Feature]) -> bool:
+    """Whether the coordinates are longitudes and latitudes."""
+    return bool(np.ptp(np.concatenate([f.points for f in features]), axis=0).max() < DEGREES)
+
+
+def in_meters(features: list[Feature]) -> list[Feature]:
+    """Degrees turned into meters east and north of the middle; what is in meters is left alone."""
+    if not in_degrees(features):
+        return features
+    corners = np.concatenate([f.points for f in features])
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    scale = np.deg2rad(EARTH) * np.array([np.cos(np.deg2rad(middle[1])), 1.0])
+
+    def turned(points: np.ndarray) -> np.ndarray:
+        return (points - middle) * scale
+
+    return [
+        Feature(f.name, turned(f.points), f.area, tuple(map(turned, f.holes)), f.height, f.material) for f in features
+    ]
