@@ -110,7 +110,8 @@ def fill_absent(record, names: tuple[str, ...], rows: int) -> None:
             object.__setattr__(record, name, np.zeros(rows, np.int64))
 
 
-def _check_offsets(record: str, offsets: np.ndarray, rows: int) -> None:
+def check_offsets(record: str, offsets: np.ndarray, rows: int) -> None:
+    """Refuse offsets that do not rise from 0 to the number of rows."""
     if offsets.ndim != 1 or offsets.size == 0 or offsets[0] != 0 or offsets[-1] != rows or np.any(np.diff(offsets) < 0):
         raise DopslamError(
             f"{record}: offsets must rise from 0 to the number of rows ({rows}), got {offsets.tolist()[:6]}…"
@@ -220,7 +221,7 @@ class FloorPlan:
     points: np.ndarray
 
     def __post_init__(self):
-        _check_offsets("FloorPlan", self.offsets, len(self.points))
+        check_offsets("FloorPlan", self.offsets, len(self.points))
 
 
 @dataclass(frozen=True)
@@ -275,8 +276,8 @@ class Paths(Ragged):
         _check_columns(
             self, ("a", "tau", "theta_t", "phi_t", "theta_r", "phi_r", "doppler", "anchor"), len(self.landmark)
         )
-        _check_offsets("Paths", self.offsets, len(self.landmark))
-        _check_offsets("Paths.vertices", self.vertex_offsets, len(self.vertices))
+        check_offsets("Paths", self.offsets, len(self.landmark))
+        check_offsets("Paths.vertices", self.vertex_offsets, len(self.vertices))
 
 
 @dataclass(frozen=True)
@@ -329,7 +330,7 @@ class DetectionSeries(Ragged):
         fill_absent(self, ("anchor", "flags"), rows)
         columns = ("delay", "aoa", "aod", "radial_velocity", "gain", "covariance", "snr", "anchor", "flags")
         _check_columns(self, columns, rows)
-        _check_offsets("DetectionSeries", self.offsets, rows)
+        check_offsets("DetectionSeries", self.offsets, rows)
         _check_columns(self, ("noise_variance",) if self.time is None else ("noise_variance", "time"), self.steps)
         if self.time is not None and np.any(np.diff(self.time) <= 0):
             at = int(np.argmax(np.diff(self.time) <= 0))

@@ -63,7 +63,20 @@ def test_only_the_command_line_prints_or_exits(path):
 
 
 FLOORS = [
-    {"errors", "filters", "records", "compiled", "llvm", "config", "generators", "plans", "store", "link", "cluster"},
+    {
+        "errors",
+        "filters",
+        "records",
+        "consistency",
+        "compiled",
+        "llvm",
+        "config",
+        "generators",
+        "plans",
+        "store",
+        "link",
+        "cluster",
+    },
     {"models", "raytracing"},
     {"slam", "simulate", "evaluate"},
     {"problem", "report", "preflight", "create"},

@@ -21,8 +21,8 @@ def _walk(root: type[BaseModel], loc: tuple) -> tuple[list[str], list[str]]:
     names, beside = [], []
     for part in loc:
         models = models_in(annotation)
-        tagged = [m for m in models if "kind" in m.model_fields and part in m.model_fields["kind"].annotation.__args__]  # type: ignore[union-attr]
-        if len(models) > 1 and tagged:
+        tagged = [m for m in models if len(models) > 1 and part in _tags(m)]
+        if tagged:
             annotation = tagged[0]
             continue
         names.append(str(part))
@@ -30,6 +30,12 @@ def _walk(root: type[BaseModel], loc: tuple) -> tuple[list[str], list[str]]:
             beside = list(models[0].model_fields)
             annotation = models[0].model_fields[part].annotation if part in beside else None
     return names, beside
+
+
+def _tags(model: type[BaseModel]) -> tuple:
+    """Values of ``kind`` by which a union knows this model."""
+    kind = model.model_fields.get("kind")
+    return getattr(kind.annotation, "__args__", ()) if kind is not None else ()
 
 
 def _shown(value: Any) -> str:

@@ -8,17 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.config.scenario import parse
+from dopslam.consistency import misfits
+from dopslam.datasets import plausible
 from dopslam.datasets.manifest import FILE, Manifest, read_manifest
 from dopslam.datasets.plan import shard_file
 from dopslam.datasets.shard import inspect_shard
 from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
+from dopslam.evaluate.bounds import Bound
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.preflight import Finding
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track
+from dopslam.records import SPEED_OF_LIGHT, BaseStations, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.slam.history import History
 from dopslam.store import file as dataset
+from dopslam.store.schema import unit_of
 
-TYPES = {kind.__name__: kind for kind in (Track, Steps, Landmarks, Paths, DetectionSeries, FloorPlan, Mesh)}
+RECORDS = (Track, Steps, Landmarks, BaseStations, Paths, DetectionSeries, History, Bound, FloorPlan, Mesh)
+TYPES = {kind.__name__: kind for kind in RECORDS}
 LENGTH_TOLERANCE = 1e-6  # m, between a delay and the length along its interaction points
 
 
@@ -48,6 +54,8 @@ def _folder(folder: Path, progress: Progress) -> Iterator[Finding]:
     except DatasetError as error:
         yield Finding(FILE, str(error))
         return
+    if manifest.complete and len(manifest.shards) != manifest.plan.shards:
+        yield Finding(FILE, f"lists {len(manifest.shards)} shards of {manifest.plan.shards}")
     if not manifest.complete:
         done = len(list(folder.glob("shard-*.h5")))
         todo = f"{done} of {manifest.plan.shards} shards are there"
@@ -70,9 +78,7 @@ def _shard(folder: Path, manifest: Manifest, number: int) -> Iterator[Finding]:
         yield Finding(path.name, str(error))
         return
     if manifest.complete:
-        if len(manifest.shards) != manifest.plan.shards:
-            yield Finding(FILE, f"lists {len(manifest.shards)} shards of {manifest.plan.shards}")
-        elif manifest.shards[number] != entry:
+        if number < len(manifest.shards) and manifest.shards[number] != entry:
             yield Finding(path.name, "is whole but not the shard that the manifest lists; make it again with --resume")
         known = {mark["name"]: mark for mark in manifest.landmarks}
         for name, kind, position in zip(landmarks.name.tolist(), landmarks.kind, landmarks.position, strict=True):
@@ -84,25 +90,25 @@ def _shard(folder: Path, manifest: Manifest, number: int) -> Iterator[Finding]:
 
 def _file(path: Path, hashed: bool = False) -> Iterator[Finding]:
     try:
-        names, attributes = dataset.groups(path), dataset.root_attributes(path)
+        names, attributes, shapes = dataset.groups(path), dataset.root_attributes(path), dataset.describe(path)
+        kinds = {group: dataset.record_type(path, group) for group in names}
     except DopslamError as error:
         yield Finding(path.name, str(error))
         return
+    for group, name, _, _, stated in shapes:
+        right = unit_of(kinds[group], name)
+        if stated not in ("", right):
+            yield Finding(f"{path.name}:{group}/{name}", f"is said to be in {stated!r}; this program reads {right!r}")
     records = {}
     for group in names:
         try:
             if not hashed:
                 dataset.verify_group(path, group)
-            kind = TYPES.get(dataset.record_type(path, group))
+            kind = TYPES.get(kinds[group])
             if kind is not None:
                 records[group] = dataset.read_record(path, group, kind)
         except DopslamError as error:
             yield Finding(f"{path.name}:{group}", str(error))
-    for group, record in records.items():
-        for name in getattr(record, "__dataclass_fields__", ()):
-            value = getattr(record, name)
-            if isinstance(value, np.ndarray) and value.dtype.kind in "fc" and not np.all(np.isfinite(value)):
-                yield Finding(f"{path.name}:{group}/{name}", "holds non-finite values")
     scenario = None
     if "scenario" in attributes:
         try:
@@ -118,35 +124,13 @@ def _file(path: Path, hashed: bool = False) -> Iterator[Finding]:
 
 def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
     track, landmarks, paths = (records.get(name) for name in ("track", "landmarks", "paths"))
-    detections = records.get("detections")
-    steps = {
-        name: r.steps for name, r in (("track", track), ("paths", paths), ("detections", detections)) if r is not None
-    }
-    if len(set(steps.values())) > 1:
-        yield next(iter(steps)), f"numbers of steps differ: {', '.join(f'{n} {k}' for n, k in steps.items())}"
-        return
-    if landmarks is not None and not np.all(np.isin(landmarks.kind, list(Kind))):
-        yield "landmarks/kind", "holds an unknown kind; known are 0 BS, 1 VA, 2 SP"
-    if paths is not None and landmarks is not None and len(paths.landmark):
-        if paths.landmark.min() < 0 or paths.landmark.max() >= len(landmarks):
-            yield "paths/landmark", f"points outside the {len(landmarks)} landmarks"
-            return
-        if track is not None and scenario is not None:
-            yield from _geometry(track, landmarks, paths, np.array(scenario.base_station.position))
-    if detections is not None and len(detections.delay):
-        deviation = np.sqrt(np.abs(np.einsum("nii->ni", detections.covariance)))
-        try:
-            np.linalg.cholesky(detections.covariance / deviation[:, :, None] / deviation[:, None, :])
-        except (np.linalg.LinAlgError, FloatingPointError):
-            yield "detections/covariance", "is not positive definite everywhere"
-        # Off-diagonal entries are rounded in proportion to the deviations that make them, not to themselves.
-        skew = np.abs(detections.covariance - detections.covariance.swapaxes(1, 2))
-        if np.any(skew > 1e-6 * deviation[:, :, None] * deviation[:, None, :]):
-            yield "detections/covariance", "is not symmetric"
-        if not (np.isfinite(detections.threshold) and detections.threshold > 0):
-            yield "detections/threshold", f"is {detections.threshold}, no positive number"
-        if np.any(detections.snr <= 0):
-            yield "detections/snr", "holds values that are not positive"
+    found = misfits(records)
+    yield from found
+    if not found and None not in (track, landmarks, paths, scenario) and len(paths.landmark):
+        yield from _geometry(track, landmarks, paths, np.array(scenario.base_station.position))
+    for group, record in records.items():
+        for name, what in plausible.faults(record):
+            yield f"{group}/{name}", what
 
 
 def _geometry(track: Track, landmarks: Landmarks, paths: Paths, bs: np.ndarray) -> Iterator[tuple[str, str]]:

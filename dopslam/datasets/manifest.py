@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from dopslam.datasets.plan import Plan
+from dopslam.datasets.plan import LARGEST_SHARDS, Plan
 from dopslam.errors import DatasetError
 
 FILE = "manifest.json"
@@ -140,7 +140,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         manifest = Manifest(
             plan=_exactly(Plan, tree["plan"]),
             shards=tuple(_exactly(ShardEntry, entry) for entry in tree["shards"]),
-            landmarks=tuple(tree["landmarks"]),
+            landmarks=tuple(_landmark(entry) for entry in tree["landmarks"]),
             sha256=tree["sha256"],
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -153,13 +153,32 @@ def read_manifest(folder: str | Path) -> Manifest:
 
 
 def _exactly(kind, values: dict[str, Any]):
+    if not isinstance(values, dict):
+        raise ValueError(f"{kind.__name__} is {values!r:.80}, no table of keys")
     known = {field.name: field.type for field in fields(kind)}
     if set(values) != set(known):
         raise ValueError(f"keys of {kind.__name__} are {sorted(values)}")
     for name, value in values.items():
         if type(value).__name__ != known[name]:
-            raise ValueError(f"{kind.__name__}.{name} = {value!r} is no {known[name]}")
+            raise ValueError(f"{kind.__name__}.{name} = {value!r:.80} is no {known[name]}")
     made = kind(**values)
-    if isinstance(made, Plan) and (made.positions < 1 or made.shard_positions < 1):
-        raise ValueError("a number of positions below 1")
+    if isinstance(made, Plan):
+        if made.positions < 1 or made.shard_positions < 1:
+            raise ValueError("a number of positions below 1")
+        if made.shards > LARGEST_SHARDS:
+            raise ValueError(
+                f"Plan.positions = {made.positions} by Plan.shard_positions = {made.shard_positions} are {made.shards} "
+                f"shards; a dataset has at most {LARGEST_SHARDS}"
+            )
     return made
+
+
+def _landmark(values: Any) -> dict[str, Any]:
+    kinds = {"name": str, "kind": int, "order": int, "position": list}
+    if not isinstance(values, dict) or set(values) != set(kinds):
+        raise ValueError(f"a landmark has the keys {', '.join(kinds)}, not {values!r:.80}")
+    place = values["position"]
+    right = all(isinstance(values[name], kind) for name, kind in kinds.items()) and len(place) == 3
+    if not right or not all(isinstance(x, float | int) and abs(x) < 1e9 for x in place):
+        raise ValueError(f"landmark {values!r:.120} is none")
+    return values

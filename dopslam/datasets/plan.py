@@ -12,6 +12,8 @@ from dopslam.config.scenario import Scenario
 from dopslam.datasets import tracks
 from dopslam.errors import ConfigError, DatasetError
 
+LARGEST_SHARDS = 100_000
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -95,6 +97,11 @@ def make_plan(
         model = radio.signal_model(scenario)
         snapshot = scenario.radio.subcarriers * model.schedule.symbols * model.receiver.elements * 8
         most = max(1, min(most, int(config.shard_megabytes * 1e6 // snapshot)))
+    if -(-count // most) > LARGEST_SHARDS:
+        raise ConfigError(
+            f"--positions {count}: {-(-count // most)} shards of {most} positions, at most {LARGEST_SHARDS} are possible; "
+            "ask for fewer, or raise dataset.shard_positions (with --signal dataset.shard_megabytes)"
+        )
     file = tracks.track_file(scenario)
     try:
         digest = hashlib.sha256(file.read_bytes()).hexdigest() if file is not None else ""

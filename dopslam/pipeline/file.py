@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
+from dopslam.consistency import misfits
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate import mapping
@@ -60,7 +62,7 @@ def _check_new(path: Path) -> None:
 def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
     """Add the received signal of every step."""
     scenario, seed = scenario_of(path, settings)
-    track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+    track, paths = _read(path, track=Track, paths=Paths)
     dataset.write_signal(path, pipeline.synthesize(scenario, track, paths, seed, progress), paths.steps)
 
 
@@ -72,21 +74,35 @@ def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet)
         time = dataset.read_record(path, "track", Track).time if "track" in dataset.groups(path) else None
         signal = StoredSignal(Path(path), stored, time)
     else:
-        track, paths = dataset.read_record(path, "track", Track), dataset.read_record(path, "paths", Paths)
+        track, paths = _read(path, track=Track, paths=Paths)
         signal = SyntheticSignal(scenario.to_toml(), track, paths, seed)
     detections = pipeline.estimate(scenario, signal, jobs, progress)
     dataset.write_record(path, "detections", detections, scenario.to_toml())
 
 
+def _read(path: Path, **kinds: type) -> list[Any]:
+    """Records of a dataset by their groups, which must belong together."""
+    records = {group: dataset.read_record(path, group, kind) for group, kind in kinds.items()}
+    _refuse_misfits(path, records)
+    return list(records.values())
+
+
+def _refuse_misfits(path: Path, records: dict[str, Any]) -> None:
+    found = misfits(records)
+    if found:
+        where, what = found[0]
+        raise DatasetError(f"{path}: {where} {what}; the records are not of one run")
+
+
 def read_truth(path: Path) -> tuple[Track, Landmarks, Paths | None, FloorPlan | None]:
     """The truth in a dataset; paths and plan are None where detections were drawn from the model."""
     have = dataset.groups(path)
-    return (
-        dataset.read_record(path, "track", Track),
-        dataset.read_record(path, "landmarks", Landmarks),
-        dataset.read_record(path, "paths", Paths) if "paths" in have else None,
-        dataset.read_record(path, "plan", FloorPlan) if "plan" in have else None,
+    kinds: dict[str, type] = {"track": Track, "landmarks": Landmarks, "paths": Paths, "plan": FloorPlan}
+    track, landmarks, *others = _read(
+        path, **{n: k for n, k in kinds.items() if n in have or n in ("track", "landmarks")}
     )
+    found = dict(zip([n for n in ("paths", "plan") if n in have], others, strict=True))
+    return track, landmarks, found.get("paths"), found.get("plan")
 
 
 def read_detections(path: Path) -> DetectionSeries:
@@ -158,6 +174,7 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
     scenario, seed = scenario_of(path, settings)
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
+    _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
     bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
     dataset.write_record(path, _bound_group(doppler), bounds)
 
@@ -189,6 +206,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
             option = "" if doppler else " --doppler-std none"
             raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}{option}' first")
         bounds = dataset.read_record(path, group, Bound)
+        _refuse_misfits(path, {"track": track, f"slam_{name}": history, group: bounds})
         order = pipeline.largest_order(filter_name, landmarks)
         try:
             evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
@@ -200,6 +218,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         raise DatasetError(f"{path}: no filter's history could be judged: {failed}")
     radius = scenario.evaluation.found_radius
     detections = read_detections(path)
+    _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
     matches = None if paths is None else matching.match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)
     variants = {

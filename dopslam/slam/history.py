@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_vector
-from dopslam.records import Kind, Ragged, edges_of
+from dopslam.records import Kind, Ragged, check_offsets, edges_of
 from dopslam.slam.pmb.density import PMB
 
 Array = NDArray[np.float64]
@@ -72,6 +72,9 @@ class History(Ragged):
     type_probability: Array
     kind: NDArray[np.int64]
     track: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        check_offsets("History", self.map_offsets, len(self.position))
 
     def reported(self, step: int, kind: int, threshold: float = 0.5) -> Array:
         """Positions (·, 3) of the landmarks of one kind with existence above the threshold."""

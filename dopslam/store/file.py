@@ -25,7 +25,19 @@ import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.store.columns import chunk_shape, digest, read, stream_digest, texts
-from dopslam.store.schema import EARLIER, READ, SCHEMA, UNITS, VERSION, annotate, is_scale, plain, set_text, unit_of
+from dopslam.store.schema import (
+    EARLIER,
+    READ,
+    SCHEMA,
+    UNITS,
+    VERSION,
+    annotate,
+    fault_of,
+    is_scale,
+    plain,
+    set_text,
+    unit_of,
+)
 
 _LIBVER = ("v110", "v110")  # checksummed metadata: a damaged file is noticed, not misread
 IN_MEMORY = 512_000_000  # bytes, up to which a file is built in memory
@@ -105,7 +117,7 @@ def _reading(path: Path) -> Iterator[h5py.File]:
             yield file
     except DopslamError:
         raise
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError) as error:
         raise DatasetError(f"{path}: not a readable dataset, truncated or damaged ({error})") from error
 
 
@@ -238,6 +250,8 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
         have = ", ".join(sorted(file)) or "nothing"
         raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); run the stage that makes it first")
     node = file[group]
+    if not isinstance(node, h5py.Group):
+        raise DatasetError(f"{path}: {group!r} is a single array where a group is expected; it is no record")
     values: dict[str, Any] = {}
     names, scalars, earlier = [], {}, {}
     for field in dataclasses.fields(record_type):  # type: ignore[arg-type]
@@ -249,6 +263,8 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
             earlier[old] = field.name, convert
         elif field.name in node.attrs:
             scalars[field.name] = values[field.name] = plain(node.attrs[field.name])
+            if "float" in str(field.type) and not isinstance(scalars[field.name], int | float):
+                raise DatasetError(f"{path}: attribute {field.name} of {group!r} is no number")
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise DatasetError(f"{path}: {group}/{field.name} is missing; the group is not a {record_type.__name__}")
     if "sha256" in node.attrs:
@@ -260,6 +276,9 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
     for name, array in columns.items():
         name, convert = earlier.get(name, (name, lambda array: array))
         values[name] = convert(array.astype(str) if array.dtype.kind == "O" else array)
+    fault = fault_of(record_type.__name__, {k: v for k, v in values.items() if isinstance(v, np.ndarray)})
+    if fault:
+        raise DatasetError(f"{path}: {group}/{fault}")
     try:
         return record_type(**values)
     except DopslamError as error:

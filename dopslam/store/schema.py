@@ -11,7 +11,7 @@ probability of a virtual anchor alone (:data:`EARLIER`); it is still read.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import h5py
@@ -96,6 +96,57 @@ DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
 }  # fmt: skip
 
 FIXED = {"xyz": 3, "xyz_": 3, "xy": 2, "az_el": 2, "parameter": 6, "parameter_": 6}  # lengths that never vary
+
+
+TEXTS = {"name"}
+COMPLEX = {"a", "gain", "y"}
+INTEGERS = {
+    "offsets",
+    "vertex_offsets",
+    "map_offsets",
+    "kind",
+    "order",
+    "track",
+    "index",
+    "drive",
+    "step",
+    "anchor",
+    "flags",
+}
+MAY_LACK = {("Bound", "landmark")}  # NaN where nothing is known
+
+
+def fault_of(record: str, columns: Mapping[str, np.ndarray]) -> str:
+    """What is wrong with the types, shapes and values of a record's arrays, naming the array; empty if nothing is."""
+    sizes: dict[str, tuple[str, int]] = {}
+    for name, array in columns.items():
+        allowed = "OUS" if name in TEXTS else "iufc" if name in COMPLEX else "iu" if _counts(record, name) else "iuf"
+        if array.dtype.kind not in allowed:
+            return f"{name} holds {array.dtype}, no {'text' if name in TEXTS else 'whole numbers' if allowed == 'iu' else 'numbers'}"
+        named = DIMENSIONS.get(record, {}).get(name)
+        if named is None:
+            continue
+        wanted = "(" + ", ".join(str(FIXED.get(dimension, dimension)) for dimension in named) + ")"
+        if array.ndim != len(named):
+            return f"{name} has the shape {array.shape}, expected {wanted}"
+        for dimension, size in zip(named, array.shape, strict=True):
+            base = dimension.rstrip("_").removesuffix("_edge")
+            rows = size - 1 if dimension.endswith("_edge") else size
+            if FIXED.get(dimension, size) != size or (base in sizes and sizes[base][1] != rows):
+                other = f", {sizes[base][0]} gives {sizes[base][1]} for {base!r}" if base in sizes else ""
+                return f"{name} has the shape {array.shape}, expected {wanted}{other}"
+            sizes[base] = name, rows
+        if array.dtype.kind in "fc":
+            bad = np.isinf(array) if (record, name) in MAY_LACK else ~np.isfinite(array)
+            if bad.any():
+                row = int(np.argmax(bad.reshape(len(array), -1).any(axis=1))) if array.ndim else 0
+                return f"{name} holds non-finite values, the first in row {row}"
+    return ""
+
+
+def _counts(record: str, name: str) -> bool:
+    """Whether an array holds whole numbers."""
+    return name in INTEGERS or (name == "landmark" and record != "Bound")
 
 
 def _types_of_version_1(probability: np.ndarray) -> np.ndarray:
