@@ -19,11 +19,16 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 
 
 class Kind(IntEnum):
-    """Landmark types of paper A: base station, virtual anchor, scatter point (paper B: PS)."""
+    """Landmark types: base station, virtual anchor and scatter point of paper A (paper B: PS), and second reflection.
+
+    A second reflection is the base station mirrored at two walls: length, arrival and Doppler of a virtual anchor, its
+    departure unexplained.
+    """
 
     BS = 0
     VA = 1
     SP = 2
+    SR = 3
 
 
 ABSENT = np.zeros(0, np.int64)  # of a column that is zero in every row unless it is given

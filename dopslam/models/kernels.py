@@ -13,7 +13,8 @@ import numpy as np
 
 from dopslam.compiled import clear, compiled
 
-BS, VA, SP = 0, 1, 2
+BS, VA, SP, SR = 0, 1, 2, 3
+FREE_AZIMUTH, FREE_ELEVATION = 2.0 * math.pi, 0.5 * math.pi  # variances whose densities at 0 are 1/2π and 1/π: uniform
 POLE = 0.02  # cos(elevation) below which an azimuth is not used: it is undefined at the pole
 
 
@@ -25,13 +26,13 @@ def wrap_angle(angle):
 
 @compiled
 def subtract(measured, predicted, by_landmark, by_state, out):
-    """out = measured - predicted, azimuths wrapped; rows without any Jacobian (an azimuth at a pole) give
-    zero.
+    """out = measured - predicted, azimuths wrapped; rows without any Jacobian (an azimuth at a pole, a departure that
+    nothing explains) give zero.
     """
     for i in range(out.shape[0]):
         difference = measured[i] - predicted[i]
-        if i == 1 or i == 3:
-            difference = wrap_angle(difference)
+        if i == 1 or (i > 2 and i < 5):
+            difference = wrap_angle(difference) if i < 4 else difference
             used = False
             for j in range(3):
                 used = used or by_landmark[i, j] != 0.0
@@ -40,6 +41,14 @@ def subtract(measured, predicted, by_landmark, by_state, out):
             if not used:
                 difference = 0.0
         out[i] = difference
+
+
+@compiled
+def noise_entry(noise, kind, i, j):
+    """Entry (i, j) of the R that a landmark's kind sees: the departure of a second reflection may be any direction."""
+    if kind == SR and (i == 3 or i == 4 or j == 3 or j == 4):
+        return 0.0 if i != j else FREE_AZIMUTH if i == 3 else FREE_ELEVATION
+    return noise[i, j]
 
 
 @compiled
@@ -87,6 +96,8 @@ def predict_measurement(state, landmark, kind, site, z):
         length += math.sqrt(dx * dx + dy * dy + dz * dz)
     elif kind == BS:
         dx, dy, dz = -rx, -ry, -rz
+    elif kind == SR:
+        dx, dy, dz = 1.0, 0.0, 0.0
     else:
         ax, ay, az = site[0] - landmark[0], site[1] - landmark[1], site[2] - landmark[2]
         projection = -(ax * rx + ay * ry + az * rz)
@@ -151,6 +162,8 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
             px, py, pz = dx / reach, dy / reach, dz / reach
     elif kind == BS:
         dx, dy, dz = -rx, -ry, -rz
+    elif kind == SR:
+        dx, dy, dz = 1.0, 0.0, 0.0
     else:  # the incidence point x_VA + t w, with w = -r
         ax, ay, az = site[0] - landmark[0], site[1] - landmark[1], site[2] - landmark[2]
         projection = -(ax * rx + ay * ry + az * rz)
@@ -188,7 +201,7 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
             by_landmark[3 + i, 0] = gx
             by_landmark[3 + i, 1] = gy
             by_landmark[3 + i, 2] = gz
-        else:
+        elif kind == VA:
             along = -(gx * rx + gy * ry + gz * rz)
             s = t / projection
             by_state[3 + i, 0] = t * gx - s * along * ax

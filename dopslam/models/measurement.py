@@ -2,7 +2,8 @@
 
 One measurement is `z = (c·τ + bias [m], AOA azimuth, AOA elevation, AOD azimuth, AOD elevation [rad],
 Doppler [m/s])`. AOA azimuth counts from the heading, AOD from the world's x axis; Doppler (a radial
-velocity) is positive when approaching. The kinds are BS = 0, VA = 1, SP = 2. All functions broadcast: K
+velocity) is positive when approaching. The kinds are BS = 0, VA = 1, SP = 2, SR = 3: a second reflection, whose
+departure is unexplained (`seen_noise`). All functions broadcast: K
 landmarks for the Kalman filter, K × N particles elsewhere.
 
 Departures from the paper, each with a test: delays are lengths (its eq. (4) is in seconds while Section V
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-BS, VA, SP = 0, 1, 2
+BS, VA, SP, SR = 0, 1, 2, 3
 DIMENSION = 6
 AZIMUTHS = (1, 3)
 
@@ -33,6 +34,16 @@ def residual(measured: Array, predicted: Array) -> Array:
     for row in AZIMUTHS:
         difference[..., row] = wrap(difference[..., row])
     return difference
+
+
+def seen_noise(covariance: Array, kind: ArrayLike) -> Array:
+    """The R (..., m, m) that landmarks of a kind (...) see: for a second reflection any departure is as likely.
+
+    Its variances 2π and π/2 have the densities 1/2π and 1/π of a uniform azimuth and elevation at a residual of zero.
+    """
+    free = (np.asarray(kind) == SR)[..., None] & np.isin(np.arange(covariance.shape[-1]), (3, 4))
+    uniform = np.diag([0.0, 0.0, 0.0, 2 * np.pi, np.pi / 2, 0.0])[: covariance.shape[-1], : covariance.shape[-1]]
+    return np.where(free[..., :, None] | free[..., None, :], uniform, covariance)
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -97,7 +108,7 @@ def _departure(ue: Array, landmark: Array, kind: Array, bs: Array) -> Array:
     anchor = np.where(is_va, landmark, bs + 1.0)  # any point that keeps `incidence` finite where it is not used
     point, _, _ = incidence(ue, anchor, bs)
     target = np.where((kind == BS)[..., None], ue, np.where(is_va, point, landmark))
-    return target - bs
+    return np.where((kind == SR)[..., None], [1.0, 0.0, 0.0], target - bs)
 
 
 def measure(

@@ -35,6 +35,8 @@ def known_map(world, spread=0.5):
         track=np.array([-1, 0, 1, 2, 3], dtype=np.int64),
         reference=np.zeros(5),
         detections=np.zeros(5),
+        visible=np.ones(5),
+        unseen=np.zeros(5),
         trail=start.trail,
     )
 

@@ -3,7 +3,8 @@ Laplace's method.
 
 With R̃ = R + A P_s Aᵀ, the term of type m in ρ^new is
 p_D λ (2π)^{(3 - m_z)/2} |R̃|^{-1/2} |BᵀR̃⁻¹B|^{-1/2} exp(-χ²_min/2): the residual of the m_z - 3 redundant
-rows rejects clutter. It does not tell types: every SP has a VA twin with the same measurement.
+rows rejects clutter. It does not tell VA from SP: every SP has a VA twin with the same measurement. A second reflection
+has two rows less to be rejected by, and pays for it with the density 1/2π² of its departure.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import math
 import numpy as np
 
 from dopslam.compiled import compiled
-from dopslam.models.kernels import SP, VA, cholesky, linearize, solve_lower, subtract
-from dopslam.slam.pmb.density import look_up
+from dopslam.models.kernels import SP, VA, cholesky, linearize, noise_entry, solve_lower, subtract
+from dopslam.slam.pmb.density import BIRTHS, look_up
 
 MAX_STEPS = 8
 OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
@@ -42,7 +43,7 @@ def starting_point(z, state, kind, site, x):
     """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the
     direct one.
 
-    VA: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
+    VA, SR: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
     their mean.
     """
     length = z[0] - state[3]
@@ -53,7 +54,7 @@ def starting_point(z, state, kind, site, x):
     azimuth = z[1] + state[2]
     flat = math.cos(z[2])
     qx, qy, qz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(z[2])
-    if kind == VA:
+    if kind != SP:
         x[0] = state[0] + length * qx
         x[1] = state[1] + length * qy
         x[2] = site[3] + length * qz
@@ -113,7 +114,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
                     value += by_state[i, a] * state_covariance[a, b]
                 moved[i, b] = value
             for j in range(i + 1):
-                value = noise[i, j]
+                value = noise_entry(noise, kind, i, j)
                 for b in range(n):
                     value += moved[i, b] * by_state[j, b]
                 factor[i, j] = value
@@ -241,16 +242,16 @@ def new_hypotheses(density, n, scan, local, model):
 
     Returns
     -------
-    log_term : (M, 2) array; log of the birth integral of VA and SP, -inf where impossible
+    log_term : (M, 3) array; log of the birth integral of VA, SP and SR, -inf where impossible
     log_new : (M,) array; ln ρ^new = ln(c + Σ terms)
-    position : (M, 2, 3) array; x̂ of each
+    position : (M, 3, 3) array; x̂ of each
     """
     count, m = scan.z.shape
     state = density.mean[:n]
     state_covariance = density.covariance[:n, :n].copy()
-    log_term = np.full((count, 2), -np.inf)
+    log_term = np.full((count, BIRTHS), -np.inf)
     log_new = np.empty(count)
-    position = np.zeros((count, 2, 3))
+    position = np.zeros((count, BIRTHS, 3))
     gain = np.empty((3, m))
     covariance = np.empty((3, 3))
     constant = 0.5 * (3 - m) * math.log(2.0 * math.pi)
@@ -260,8 +261,10 @@ def new_hypotheses(density, n, scan, local, model):
         for t in range(local.log_ratio.shape[1]):
             best_track = max(best_track, local.log_ratio[p, t])
         twin = np.inf  # how well the VA fits, and with it the SP at its incidence point
-        for t in range(2):
+        for t in range(BIRTHS):
             kind = VA + t
+            if model.intensity[t] + model.birth_intensity[t] <= 0.0:
+                continue
             most = math.log(model.intensity[t] + model.birth_intensity[t]) + constant
             x = position[p, t]
             if t == 1 and twin + TWIN + most < best_track - OUTWEIGHED:

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 BS_TRACK = -1  # track number of the base station
 NO_TRACK = -2  # a measurement taken as new or clutter
+BIRTHS = 3  # kinds of landmarks that can be born: VA, SP, SR, in the order of their numbers
 
 
 class PMB(NamedTuple):
@@ -45,6 +46,8 @@ class PMB(NamedTuple):
     track : (H + 1,) int array; track number, siblings share it
     reference : (H + 1,) array; log of ρ times spreading loss, learnt from detections
     detections : (H + 1,) array; number of detections that `reference` rests on
+    visible : (H + 1,) array; P(in sight | existing) of each block
+    unseen : (H + 1,) array; detections that were due, were it in sight, since its last one
     trail : (k, 2) array; past UE positions, for the thinning of the undetected intensity
     """
 
@@ -55,6 +58,8 @@ class PMB(NamedTuple):
     track: NDArray[np.int64]
     reference: Array
     detections: Array
+    visible: Array
+    unseen: Array
     trail: Array
 
 
@@ -97,6 +102,8 @@ class Model(NamedTuple):
     prune: float
     existence_limit: float
     negligible: float
+    hide: float
+    reappear: float
     sp_range: float
     use_snr: bool
     table: Array
@@ -126,8 +133,9 @@ class FilterParameters:
         Squared Mahalanobis distance beyond which a measurement cannot belong to a track.
     survival : float
         p_S per step.
-    intensity : (VA, SP)
-        Initial intensity of undetected landmarks [m⁻³].
+    intensity : (VA, SP, SR)
+        Initial intensity of undetected landmarks [m⁻³]; two entries, or an SR of 0: no second reflections. The paper's
+        filter (`joint=False`) knows none.
     birth_intensity : (VA, SP)
         λ_B added every step [m⁻³].
     thinning : bool
@@ -137,6 +145,11 @@ class FilterParameters:
         Blocks below this weight are dropped.
     existence_limit : float
         Ceiling of a track's existence, so that misses can still end it.
+    hide : float
+        Probability per step that a landmark in sight goes out of sight; 0, and always in the paper's filter: never.
+    reappear : float
+        Probability that one just out of sight comes back at the next step. It falls with the time out of sight,
+        b/(1 + b·t), so that P(still hidden) = 1/(1 + b·t): what is behind a house may be so for long.
     negligible : float
         Associations below this weight relative to the best are not updated.
     detection : ConstantDetection or SnrDetection
@@ -152,11 +165,13 @@ class FilterParameters:
     associations: int = 10
     gate: float = 40.0
     survival: float = 1.0
-    intensity: tuple[float, float] = (1e-7, 4e-6)
+    intensity: tuple[float, ...] = (1e-7, 4e-6, 1e-9)
     birth_intensity: tuple[float, float] = (0.0, 0.0)
     thinning: bool = False
     prune: float = 1e-3
-    existence_limit: float = 1.0 - 1e-6
+    existence_limit: float = 0.999
+    hide: float = 0.05
+    reappear: float = 0.1
     negligible: float = 1e-4
     detection: DetectionModel = field(default_factory=ConstantDetection)
     memory: float = 5.0
@@ -168,8 +183,10 @@ class FilterParameters:
             )
         if not 0 < self.survival <= 1:
             raise FilterError(f"FilterParameters.survival is {self.survival}; it must lie in (0, 1]")
-        if not (self.gate > 0 and min(self.intensity) > 0 and min(self.birth_intensity) >= 0):
+        if not (self.gate > 0 and min(self.intensity[:2]) > 0 and min(*self.birth_intensity, *self.intensity) >= 0):
             raise FilterError("FilterParameters: gate and intensity must be positive, birth_intensity not negative")
+        if not (0 <= self.hide < 1 and 0 <= self.reappear <= 1):
+            raise FilterError(f"FilterParameters: hide ({self.hide}) and reappear ({self.reappear}) are probabilities")
 
 
 def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Array, height: float = 0.0) -> Model:
@@ -184,6 +201,10 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
     """
     bs = np.asarray(bs, dtype=float)
     detection = parameters.detection
+    intensity = np.zeros(BIRTHS)
+    intensity[: len(parameters.intensity)] = parameters.intensity
+    if not parameters.joint:
+        intensity[2:] = 0.0
     limited = isinstance(detection, ConstantDetection) and detection.sp_range is not None
     return Model(
         site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(motion.speed)),
@@ -197,12 +218,14 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         gamma=int(parameters.associations),
         gate=float(parameters.gate),
         survival=float(parameters.survival),
-        intensity=np.array(parameters.intensity, dtype=float),
-        birth_intensity=np.array(parameters.birth_intensity, dtype=float),
+        intensity=intensity,
+        birth_intensity=np.array([*parameters.birth_intensity, 0.0], dtype=float),
         thinning=bool(parameters.thinning),
         prune=float(parameters.prune),
         existence_limit=float(parameters.existence_limit),
         negligible=float(parameters.negligible),
+        hide=float(parameters.hide) if parameters.joint else 0.0,
+        reappear=float(parameters.reappear),
         sp_range=float(detection.sp_range) if limited else np.inf,
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),
@@ -226,6 +249,8 @@ def initial_density(mean: Array, covariance: Array) -> PMB:
         track=np.full(1, BS_TRACK, dtype=np.int64),
         reference=np.zeros(1),
         detections=np.zeros(1),
+        visible=np.ones(1),
+        unseen=np.zeros(1),
         trail=np.zeros((0, 2)),
     )
 
@@ -280,5 +305,7 @@ def select(density, keep):
         take(density.track, keep),
         take(density.reference, keep),
         take(density.detections, keep),
+        take(density.visible, keep),
+        take(density.unseen, keep),
         density.trail,
     )

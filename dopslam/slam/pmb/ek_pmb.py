@@ -36,6 +36,9 @@ from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
 
+ESTABLISHED = (
+    2.5  # detections from which a landmark may be out of sight (an average over associations: no whole number)
+)
 LARGEST_LENGTH, LARGEST_ANGLE, LARGEST_SPEED = 1e9, 1e3, 3e8  # m, rad, m/s: no measurement or deviation is larger
 
 
@@ -62,6 +65,18 @@ class Info(NamedTuple):
 def ue_size(density):
     """Entries of the UE's state, 4 or 6."""
     return density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)
+
+
+@compiled
+def predict_sight(density, model):
+    """P(in sight) of every block one step later. One that was detected less than `ESTABLISHED` times may be a false
+    alarm: it must be seen where it is said to be."""
+    visible = density.visible.copy()
+    for b in range(visible.shape[0]):
+        if b == 0 or density.detections[b] >= ESTABLISHED:
+            back = model.reappear / (1.0 + model.reappear * density.unseen[b])
+            visible[b] += (1.0 - visible[b]) * back - visible[b] * model.hide
+    return visible
 
 
 @compiled
@@ -101,6 +116,8 @@ def predict(density, model):
         density.track,
         density.reference,
         density.detections,
+        predict_sight(density, model),
+        density.unseen,
         density.trail,
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, inlined
-from dopslam.models.kernels import cholesky, solve_lower_vector, subtract
+from dopslam.models.kernels import cholesky, noise_entry, solve_lower_vector, subtract
 from dopslam.slam.association.murty import k_best
 from dopslam.slam.pmb.birth import log_spreading, visible_share
 from dopslam.slam.pmb.density import look_up, start_of
@@ -29,7 +29,7 @@ class Local(NamedTuple):
 
     Attributes
     ----------
-    detection : (H + 1,) array; p_D of each block
+    detection : (H + 1,) array; p_D of each block, times its probability to be in sight
     log_detected : (M, H + 1) array; ln(β p_D N(z; ẑ, S)) of each pair, -inf outside the gate
     first : (T + 1,) int array; blocks of track t are first[t]:first[t + 1], track 0 is the BS
     log_missed : (T,) array; ln ρ^{i,0}
@@ -109,7 +109,7 @@ def local_hypotheses(density, n, scan, model):
     constant = -0.5 * m * math.log(2.0 * math.pi)
     for b in range(blocks):
         kind = density.kind[b]
-        detection[b] = detection_probability(density, n, b, model)
+        detection[b] = density.visible[b] * detection_probability(density, n, b, model)
         if not linearize_block(
             density.mean, density.covariance, n, b, kind, model, predicted, by_state, by_landmark, extra
         ):
@@ -123,12 +123,12 @@ def local_hypotheses(density, n, scan, model):
             subtract(scan.z[p], predicted, by_landmark, by_state, nu)
             near = True
             for i in range(m):  # each row alone bounds the distance from below
-                near = near and nu[i] * nu[i] < model.gate * (base[i, i] + scan.covariance[p, i, i])
+                near = near and nu[i] * nu[i] < model.gate * (base[i, i] + noise_entry(scan.covariance[p], kind, i, i))
             if not near:
                 continue
             for i in range(m):
                 for j in range(m):
-                    factor[i, j] = base[i, j] + scan.covariance[p, i, j]
+                    factor[i, j] = base[i, j] + noise_entry(scan.covariance[p], kind, i, j)
             if not cholesky(factor, m):
                 raise ValueError("innovation covariance of a track is not positive definite")
             distance = solve_lower_vector(factor, m, nu)

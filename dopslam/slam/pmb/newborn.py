@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from dopslam.compiled import clear, compiled, copy_matrix
-from dopslam.models.kernels import VA, cholesky, linearize, solve_lower, subtract
+from dopslam.models.kernels import SR, VA, cholesky, linearize, noise_entry, solve_lower, subtract
 from dopslam.slam.pmb.birth import fit_landmark, starting_point
+from dopslam.slam.pmb.density import BIRTHS
 
 PLAUSIBLE = 16.0  # χ² of the redundant rows up to which a newborn informs the UE (99.9 % of three degrees of freedom)
 
@@ -20,7 +21,7 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
     Three of m rows place the landmark; the others are a measurement of the UE: with Π = R̃⁻¹ - R̃⁻¹BG and
     r = z - h, ŝ⁺ = ŝ + P_sAᵀΠr and P_s⁺ = P_s - P_sAᵀΠAP_s, and likewise every older block. The measurement is clutter
     with probability 1 - `share`: the moments are those of the mixture. Iterated like the update of tracks. VA and SP
-    predict the same rows, so that the type does not matter. `x` follows the UE. False if nothing was done.
+    predict the same rows, so that it does not matter which of them it is. `x` follows the UE. False if nothing was done.
     """
     m = z.shape[0]
     predicted, by_state, by_landmark = np.empty(m), np.empty((m, n)), np.empty((m, 3))
@@ -43,7 +44,7 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
             for j in range(3):
                 white[i, j] = by_landmark[i, j]
             for j in range(m):
-                factor[i, j] = noise[i, j]
+                factor[i, j] = noise_entry(noise, kind, i, j)
                 for k in range(n):
                     factor[i, j] += white[i, 4 + k] * by_state[j, k]
         if not cholesky(factor, m):
@@ -86,7 +87,7 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
     """Append the newborn blocks of one association; `mean` and `covariance` have room for them beyond `size`.
 
     The UE and the older blocks first take what the measurement says about them (`inform`; `real` is the probability
-    that it is not clutter), and the newborn is then where the UE makes it be: with G = (BᵀR⁻¹B)⁻¹BᵀR⁻¹ its error is
+    that it is a VA or an SP), and the newborn is then where the UE makes it be: with G = (BᵀR⁻¹B)⁻¹BᵀR⁻¹ its error is
     -G(A e_s + ε), its covariance with the UE and every landmark -G A P_s·, and between two births G A P_s AᵀGᵀ. The UE
     stays as it is in the paper's filter and at a doubtful birth, where R̃ = R + A P_s Aᵀ takes the place of R in G.
     """
@@ -109,7 +110,7 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
         if c == 0 or measurement[c - 1] != p:  # the sibling of the other type must not use the measurement again
             copy_matrix(covariance[:n, :n], spread)
             informed = False
-            if model.joint and real[p] > 0.5:
+            if model.joint and real[p] > 0.5 and kind != SR:
                 _, chi2, _ = fit_landmark(z, noise, state, spread, kind, model.site, -np.inf, x, gain, own)
                 if chi2 < PLAUSIBLE:
                     informed = inform(mean, covariance, n, at, z, noise, kind, x, real[p], model)
@@ -152,14 +153,14 @@ def newborn_table(log_weight, association, log_term, log_new, prune):
     first: they inform the UE one after another, in an order that must not depend on that of the detections.
     """
     count = log_new.shape[0]
-    measurement, kinds = np.empty(2 * count, dtype=np.int64), np.empty(2 * count, dtype=np.int64)
+    measurement, kinds = np.empty(BIRTHS * count, dtype=np.int64), np.empty(BIRTHS * count, dtype=np.int64)
     total = 0
     for p in np.argsort(-log_new):
         new = 0.0
         for a in range(association.shape[0]):
             if association[a, p] < 0:
                 new += math.exp(log_weight[a])
-        for t in range(2):
+        for t in range(BIRTHS):
             if new * math.exp(log_term[p, t] - log_new[p]) >= prune:
                 measurement[total] = p
                 kinds[total] = VA + t

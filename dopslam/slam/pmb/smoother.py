@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dopslam.compiled import compiled, copy_matrix, copy_vector, take
 from dopslam.errors import FilterError
 from dopslam.models.kernels import propagate_state
+from dopslam.models.measurement import BS, SR, seen_noise
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.history import Diagnostics, History
@@ -239,7 +240,7 @@ def run(
     n = motion.dimension
     means, covariances, failed = smooth(
         z,
-        np.linalg.inv(np.linalg.cholesky(covariance)),
+        np.stack([np.linalg.inv(np.linalg.cholesky(seen_noise(covariance, kind))) for kind in (BS, SR)]),
         offsets,
         np.concatenate(chosen),
         history.map_offsets,

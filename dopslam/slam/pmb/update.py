@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
-from dopslam.models.kernels import VA, cholesky, solve_lower, subtract
+from dopslam.models.kernels import VA, cholesky, noise_entry, solve_lower, subtract
 from dopslam.slam.pmb.birth import log_spreading
 from dopslam.slam.pmb.density import PMB, start_of
 from dopslam.slam.pmb.hypotheses import normalize
@@ -64,7 +64,7 @@ def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, 
             for k in range(3):
                 work.nu[i] -= work.by_landmark[i, k] * (mean[start + k] - point[start + k])
         for j in range(m):
-            work.extra[i, j] += noise[i, j]
+            work.extra[i, j] += noise_entry(noise, kind, i, j)
     project_rows(covariance, n, block, work.by_state, work.by_landmark, work.projected)
     innovation_covariance(work.projected, n, block, work.by_state, work.by_landmark, work.extra, work.factor)
     if not cholesky(work.factor, m):
@@ -201,15 +201,19 @@ def joint_update(density, n, local, scan, association, model, work):
 
 
 @inlined
-def weights_after(density, local, scan, association, model, weight, reference, detections):
-    """Block weights r'μ', SNR references and detection counts of the existing tracks after one
-    association.
+def weights_after(density, local, scan, association, model, weight, reference, detections, visible, unseen):
+    """Block weights r'μ', SNR references, detection counts and sight of the existing tracks after one association.
+
+    A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1.
     """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
         weight[b] = density.weight[b]
         reference[b] = density.reference[b]
         detections[b] = density.detections[b]
+        due = local.detection[b]  # v p_D
+        visible[b] = (density.visible[b] - due) / max(1.0 - due, 1e-12) if due > 0.0 else density.visible[b]
+        unseen[b] = density.unseen[b] + due / max(density.visible[b], 1e-12)
     for t in range(1, tracks):
         for b in range(local.first[t], local.first[t + 1]):
             weight[b] *= (1.0 - local.detection[b]) / math.exp(local.log_missed[t])
@@ -227,6 +231,7 @@ def weights_after(density, local, scan, association, model, weight, reference, d
             )
             detections[b] = min(detections[b] + 1.0, model.memory)
             reference[b] += (seen - reference[b]) / detections[b]
+            visible[b], unseen[b] = 1.0, 0.0
 
 
 @inlined
@@ -255,6 +260,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     means, covariances = np.zeros((components, full)), np.zeros((components, full, full))
     weights = np.zeros((components, old + born))
     references, detections = np.zeros((components, old + born)), np.zeros((components, old + born))
+    visible, unseen = np.ones((components, old + born)), np.zeros((components, old + born))
     log_weight = chosen.log_weight.copy()
     work = workspace(m, n, size)
     distance, rows, best = 0.0, 0, -np.inf
@@ -263,7 +269,9 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
         mean, covariance, d, evidence = joint_update(density, n, local, scan, association, model, work)
         copy_vector(mean, means[a])
         copy_matrix(covariance, covariances[a])
-        weights_after(density, local, scan, association, model, weights[a], references[a], detections[a])
+        weights_after(
+            density, local, scan, association, model, weights[a], references[a], detections[a], visible[a], unseen[a]
+        )
         if born > 0:
             give_birth(means[a], covariances[a], n, size, scan, measurement, kinds, association, start, real, model)
         for c in range(born):
@@ -285,12 +293,15 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     else:
         mean, covariance = moment_match(log_weight, means, covariances, weights, n)
     weight, reference, detection = np.zeros(old + born), np.zeros(old + born), np.zeros(old + born)
+    sight, missing = np.zeros(old + born), np.zeros(old + born)
     for b in range(old + born):
         for a in range(components):
             share = math.exp(log_weight[a])
             weight[b] += share * weights[a, b]
             reference[b] += share * references[a, b]
             detection[b] += share * detections[a, b]
+            sight[b] += share * visible[a, b]
+            missing[b] += share * unseen[a, b]
     if not model.joint:
         drop_cross_covariances(covariance, n)
     kind, track = np.empty(old + born, dtype=np.int64), np.empty(old + born, dtype=np.int64)
@@ -303,7 +314,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     trail = np.empty((density.trail.shape[0] + 1, 2))
     copy_matrix(density.trail, trail)
     copy_vector(mean[:2], trail[density.trail.shape[0]])
-    posterior = PMB(mean, covariance, kind, weight, track, reference, detection, trail)
+    posterior = PMB(mean, covariance, kind, weight, track, reference, detection, sight, missing, trail)
     return posterior, log_weight, distance, rows
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam.compiled import compiled, copy_matrix, inlined
-from dopslam.models.kernels import cholesky, linearize, propagate_state, solve_lower, subtract
+from dopslam.models.kernels import SR, cholesky, linearize, propagate_state, solve_lower, subtract
 
 CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step
 HALVINGS = 5  # of a step that does not lower the cost
@@ -107,7 +107,8 @@ def build(prior_information, prior_vector, states, landmarks, kinds, when, which
           only_cost):  # fmt: skip
     """Normal equations Λ δ = g of the window for a change δ of (states, landmarks), and the cost there.
 
-    Measurement `rows[f]` of `z` belongs to state `when[f]` and landmark `which[f]` (-1: BS).
+    Measurement `rows[f]` of `z` belongs to state `when[f]` and landmark `which[f]` (-1: BS); its whitener L⁻¹ is
+    whiteners[0, rows[f]], for a second reflection whiteners[1, rows[f]].
     """
     window, n = states.shape
     count = landmarks.shape[0]
@@ -145,7 +146,7 @@ def build(prior_information, prior_vector, states, landmarks, kinds, when, which
             landmarks[h] if h >= 0 else nowhere,
             kinds[h] if h >= 0 else 0,
             z[rows[f]],
-            whiteners[rows[f]],
+            whiteners[1 if h >= 0 and kinds[h] == SR else 0, rows[f]],
             model,
             only_cost,
         )
