@@ -9,7 +9,7 @@ import pytest
 
 from dopslam.evaluate import bounds
 from dopslam.evaluate.bounds import detection_mask, doppler_contribution, pcrb, situation_bound
-from dopslam.models.measurement import jacobians
+from dopslam.models.measurement import SR, VA, jacobians, seen_noise
 from dopslam.models.motion import transition_jacobian
 from dopslam.simulate.world import noise_of, nominal_track, section_v, simulate, unknown_motion
 
@@ -145,3 +145,27 @@ def test_mismatched_sizes_are_refused():
             1.0,
             world.bs,
         )
+
+
+def test_a_second_reflection_tells_what_an_anchor_tells_whose_departure_was_not_measured():
+    """Unmeasured rows have infinite variance; the type's wide variances give the same bound to the last digit."""
+    world = section_v(0.1)
+    states = nominal_track(world)[:6]
+    kind, position = world.kind[:4], world.position[:4]
+    noise = np.diag(world.noise.std**2)
+    noise[0, 3] = noise[3, 0] = 0.3 * np.sqrt(noise[0, 0] * noise[3, 3])
+    second = kind.copy()
+    second[2:] = SR
+    unmeasured = np.where(np.isin(np.arange(6), (3, 4)), np.inf, np.diag(noise))
+    bounds_of = []
+    for kinds, covariance in (
+        (second, seen_noise(np.broadcast_to(noise, (4, 6, 6)), second)),
+        (kind, np.array([noise, noise, np.diag(unmeasured), np.diag(unmeasured)])),
+    ):
+        assert set(kind[2:]) == {VA}
+        bounds_of.append(
+            pcrb(states, world.prior_mean, world.prior_covariance, world.motion, position, kinds, covariance,
+                 np.ones(4), world.bs)
+        )  # fmt: skip
+    np.testing.assert_allclose(bounds_of[0].covariance, bounds_of[1].covariance, rtol=1e-9)
+    np.testing.assert_allclose(bounds_of[0].landmark[-1, 1:], bounds_of[1].landmark[-1, 1:], rtol=1e-9)

@@ -222,6 +222,11 @@ class Filter(Frozen):
     survival: Annotated[float, Field(gt=0, le=1)] = 1.0
     intensity_va: Positive = 1e-7  # m⁻³, undetected virtual anchors
     intensity_sp: Positive = 4e-6  # m⁻³, undetected scatter points
+    intensity_sr: NonNegative | None = None  # m⁻³, second reflections; default a hundredth of intensity_va, 0: none
+    hide: Annotated[float, Field(ge=0, lt=1)] = (
+        0.05  # P(out of sight at the next step) of a landmark in sight; 0: never
+    )
+    reappear: Probability = 0.1  # P(back at the next step) of one just out of sight; falls with the time out of sight
     gate: Positive = 40.0  # squared Mahalanobis distance
     prune_existence: Probability = 1e-3
     report_existence: Probability = 0.5

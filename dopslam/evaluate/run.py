@@ -102,12 +102,18 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
 
 
 def landmark_errors(landmarks: Landmarks, history: History, threshold: float, largest_order: int = 1) -> np.ndarray:
-    """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if
-    missed, or of more reflections than ``largest_order``."""
+    """Distance (L,) of each true landmark to its estimate at the last step, one-to-one within its kind; inf if missed.
+
+    Virtual anchors of more reflections than ``largest_order`` are looked for among the second reflections."""
     found = np.full(len(landmarks), np.inf)
     found[landmarks.kind == Kind.BS] = 0.0
-    for kind in (Kind.VA, Kind.SP):
-        true = np.flatnonzero((landmarks.kind == kind) & (landmarks.order <= largest_order))
+    simple = landmarks.order <= largest_order
+    for kind, chosen in (
+        (Kind.VA, (landmarks.kind == Kind.VA) & simple),
+        (Kind.SP, landmarks.kind == Kind.SP),
+        (Kind.SR, (landmarks.kind == Kind.VA) & ~simple),
+    ):
+        true = np.flatnonzero(chosen)
         estimated = history.reported(history.steps - 1, kind, threshold)
         distance = np.linalg.norm(landmarks.position[true][:, None] - estimated[None], axis=-1)
         for i, j in zip(*linear_sum_assignment(distance), strict=True):
@@ -126,8 +132,8 @@ def evaluate_run(
     """Errors of a filter's history beside the bound of the same run.
 
     The map is judged over the landmarks that the filter's measurement model describes: scatter points and virtual
-    anchors of up to ``largest_order`` reflections (1 for the EK-PMB filters; belief propagation has a type for the
-    others). Those of higher order can be neither found nor missed.
+    anchors of up to ``largest_order`` reflections (1 for the EK-PMB filters; belief propagation calls the others by the
+    same name). Those of higher order count in ``found`` alone.
     """
     error = metrics.state_errors(history.mean[:, :4], track.state)
     settings, threshold = scenario.evaluation, scenario.filter.report_existence

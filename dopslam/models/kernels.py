@@ -286,6 +286,23 @@ def cholesky(matrix, size):
 
 
 @compiled
+def factorize(matrix, size):
+    """:func:`cholesky` of a covariance that rounding may have made indefinite: as little as it takes is added to its
+    diagonal, up to a hundredth. False if that is not enough, or if it is not finite."""
+    kept = matrix[:size, :size].copy()
+    share = 0.0
+    while share < 0.02:
+        if cholesky(matrix, size):
+            return True
+        share = 1e-12 if share == 0.0 else 10.0 * share
+        for i in range(size):
+            for j in range(size):
+                matrix[i, j] = kept[i, j]
+            matrix[i, i] += share * abs(kept[i, i])
+    return False
+
+
+@compiled
 def solve_lower(factor, size, rows):
     """Overwrite `rows` (size, columns) with L⁻¹ rows."""
     columns = rows.shape[1]

@@ -18,6 +18,8 @@ from dopslam.records import ABSENT, SPEED_OF_LIGHT, DetectionSeries, Ragged, fil
 Array = NDArray[np.float64]
 
 CLUTTER = -1
+DOUBTFUL = 1 | 2  # flags of a close pair and of the edge of view, whose covariances are too small
+WIDENING = 4.0  # of their R
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,9 @@ def from_detections(
 ) -> Scans:
     """Channel estimates of a run as measurements of the filters.
 
+    What the estimator's flags warn of widens R: the covariance of a close pair's detections is that of two paths told
+    apart, and is too small by far where they were not.
+
     Parameters
     ----------
     detections : DetectionSeries
@@ -120,13 +125,14 @@ def from_detections(
         interval of every step.
     """
     scale = np.array([SPEED_OF_LIGHT, 1.0, 1.0, 1.0, 1.0, 1.0])
+    believed = detections.covariance * np.where(detections.flags & DOUBTFUL, WIDENING, 1.0)[:, None, None]
     z = np.column_stack(
         [detections.delay * SPEED_OF_LIGHT, detections.aoa, detections.aod, detections.radial_velocity]
     ).astype(float)
     z[:, 3] = (z[:, 3] + bs_yaw + np.pi) % (2 * np.pi) - np.pi
     return Scans(
         z=z,
-        covariance=detections.covariance * scale[:, None] * scale,
+        covariance=believed * scale[:, None] * scale,
         offsets=np.asarray(detections.offsets, dtype=np.int64),
         clutter_count=max(float(detections.false_alarm_rate), minimum_clutter),
         search_volume=float(detections.search_volume),

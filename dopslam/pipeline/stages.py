@@ -22,10 +22,10 @@ from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
 from dopslam.evaluate.run import true_association
 from dopslam.filters import FILTERS
 from dopslam.models import unmeasured
-from dopslam.models.measurement import measure
+from dopslam.models.measurement import measure, seen_noise
 from dopslam.models.scans import CLUTTER
 from dopslam.pipeline.seeds import Component, generator
-from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track, edges_of
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import History
@@ -313,7 +313,7 @@ def uses_doppler(scenario: Scenario, name: str) -> bool:
 
 
 def largest_order(name: str, landmarks: Landmarks) -> int:
-    """Reflections of a virtual anchor that the map of this filter may hold."""
+    """Reflections of a virtual anchor that the map of this filter may hold; second reflections are a kind of their own."""
     limit = FILTERS[name].largest_order
     return int(landmarks.order.max()) if limit is None else limit
 
@@ -348,22 +348,25 @@ def bound(
 ) -> Bound:
     """PCRB (17) at the true track with the R and the detections of this run and the true association.
 
-    Paths of higher order carry no information here, as for the filters: the measurement model does not describe them.
+    Paths of two reflections tell what they tell the filters, everything but their departure, unless ``[filter]`` has no
+    such type; those of more carry no information here.
     """
     scans = build.scans(scenario, detections)
     label = landmark_of_detections(scenario, track, landmarks, paths, detections)
-    label[landmarks.order[label] > 1] = CLUTTER
+    kind = landmarks.kind.astype(np.int64)
+    kind[(kind == Kind.VA) & (landmarks.order > 1)] = Kind.SR
+    label[landmarks.order[label] > (1 if scenario.filter.intensity_sr == 0 else 2)] = CLUTTER
     covariance = np.broadcast_to(np.eye(6), (track.steps, len(landmarks), 6, 6)).copy()
     step = np.repeat(np.arange(scans.steps), np.diff(scans.offsets))
     real = label >= 0
-    covariance[step[real], label[real]] = scans.covariance[real]
+    covariance[step[real], label[real]] = seen_noise(scans.covariance[real], kind[label[real]])
     problem = build.problem(scenario)
     return pcrb(
         *true_states(track, problem.motion),
         problem.covariance,
         problem.motion,
         landmarks.position,
-        landmarks.kind.astype(np.int64),
+        kind,
         covariance,
         detection_mask(label, scans.offsets, len(landmarks)),
         np.array(scenario.base_station.position),

@@ -4,7 +4,19 @@ import numpy as np
 import pytest
 
 from dopslam.models import kernels
-from dopslam.models.measurement import BS, SP, VA, incidence, jacobians, measure, positions, residual, wrap
+from dopslam.models.measurement import (
+    BS,
+    SP,
+    SR,
+    VA,
+    incidence,
+    jacobians,
+    measure,
+    positions,
+    residual,
+    seen_noise,
+    wrap,
+)
 
 BS_POSITION = np.array([0.0, 0.0, 40.0])
 SPEED = 22.22
@@ -21,8 +33,8 @@ def draw(rng, n, size=4):
     wall = rng.uniform(100, 150, n)
     va = BS_POSITION + 2 * (wall - direction @ BS_POSITION)[:, None] * direction
     sp = rng.uniform([-99, -99, 1], [99, 99, 30], (n, 3))
-    kind = rng.integers(0, 3, n)
-    landmark = np.where((kind == VA)[:, None], va, np.where((kind == SP)[:, None], sp, BS_POSITION))
+    kind = rng.integers(0, 4, n)
+    landmark = np.where(np.isin(kind, (VA, SR))[:, None], va, np.where((kind == SP)[:, None], sp, BS_POSITION))
     return state, landmark, kind
 
 
@@ -66,7 +78,8 @@ def test_rigid_motion_equivariance():
     moved[:, 2] += angle
     before = measure(state, landmark, kind, BS_POSITION, speed=SPEED)
     after = measure(moved, landmark @ turn.T + shift, kind, turn @ BS_POSITION + shift, speed=SPEED)
-    before[:, 3] = wrap(before[:, 3] + angle)  # AOD is in world axes, everything else is relative
+    turned = np.where(kind == SR, 0.0, angle)  # AOD is in world axes, everything else is relative
+    before[:, 3] = wrap(before[:, 3] + turned)
     np.testing.assert_allclose(residual(after, before), 0, atol=1e-9)
 
 
@@ -81,6 +94,35 @@ def test_every_virtual_anchor_has_a_scatter_twin():
     as_va = measure(state[path], va[path], VA, BS_POSITION, speed=SPEED)
     as_sp = measure(state[path], point[path], SP, BS_POSITION, speed=SPEED)
     np.testing.assert_allclose(residual(as_va, as_sp), 0, atol=1e-9)
+
+
+def test_a_second_reflection_is_a_virtual_anchor_without_departure():
+    """Length, arrival and Doppler of the base station mirrored twice; the departure tells nothing, whatever it is."""
+    state, _, _ = draw(np.random.default_rng(11), 50)
+    twice = BS_POSITION * [-1, 1, 1] + [200.0, 0, 0]  # mirrored at x = 100
+    twice = twice * [1, -1, 1] + [0, 240.0, 0]  # then at y = 120
+    shared = [0, 1, 2, 5]
+    one, other = (measure(state, twice, kind, BS_POSITION, speed=SPEED) for kind in (SR, VA))
+    np.testing.assert_array_equal(one[:, shared], other[:, shared])
+    for own, anchors in zip(
+        *(jacobians(state, twice, kind, BS_POSITION, speed=SPEED) for kind in (SR, VA)), strict=True
+    ):
+        np.testing.assert_array_equal(own[:, shared], anchors[:, shared])
+        assert not own[:, 3:5].any()
+
+
+@pytest.mark.parametrize("rows", [5, 6])
+def test_the_departure_of_a_second_reflection_is_uniform(rows):
+    """Its noise: the other rows' block of R, and densities 1/2π and 1/π of azimuth and elevation."""
+    root = np.random.default_rng(12).normal(size=(rows, rows))
+    noise = root @ root.T
+    seen, others = seen_noise(noise, SR), [i for i in range(rows) if i not in (3, 4)]
+    np.testing.assert_array_equal(seen[np.ix_(others, others)], noise[np.ix_(others, others)])
+    np.testing.assert_array_equal(seen_noise(noise, VA), noise)
+    peak = 1 / np.sqrt(np.linalg.det(2 * np.pi * seen))
+    assert peak * np.sqrt(np.linalg.det(2 * np.pi * noise[np.ix_(others, others)])) == pytest.approx(1 / (2 * np.pi**2))
+    compiled = [[kernels.noise_entry(noise, SR, i, j) for j in range(rows)] for i in range(rows)]
+    np.testing.assert_allclose(compiled, seen, rtol=1e-15)
 
 
 def test_broadcasts_landmarks_against_particles():

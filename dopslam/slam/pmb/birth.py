@@ -180,6 +180,12 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
             for k in range(3):
                 value += inverse[k, i] * inverse[k, j]
             covariance[i, j] = value
+    if covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > reach * reach:
+        return (
+            False,
+            chi2,
+            0.0,
+        )  # nowhere in particular: Laplace's volume would be anything (a second reflection overhead)
     for j in range(m - 1, -1, -1):  # rows of (L⁻¹B)ᵀ L⁻¹ by back substitution with Lᵀ
         for c in range(3):
             value = white[j, c]

@@ -104,6 +104,9 @@ class Model(NamedTuple):
     negligible: float
     hide: float
     reappear: float
+    robust: float
+    outlier: float
+    inform: bool
     sp_range: float
     use_snr: bool
     table: Array
@@ -150,6 +153,15 @@ class FilterParameters:
     reappear : float
         Probability that one just out of sight comes back at the next step. It falls with the time out of sight,
         b/(1 + b·t), so that P(still hidden) = 1/(1 + b·t): what is behind a house may be so for long.
+    robust : float
+        Degrees of freedom ν of the Student-t noise that the update of tracks assumes: after each linearization a
+        measurement's R grows by (ν + d)/(ν + m), d its squared Mahalanobis distance to what the scan as a whole says.
+        Infinite: Gaussian, as in the paper's filter.
+    outlier : float
+        How many times likelier a detection within a resolution cell of an unseen landmark is a distorted detection of
+        that landmark than a new one beside it; it then moves nothing. 0: no such hypothesis.
+    inform : bool
+        Whether the redundant rows of a birth's only measurement move the receiver.
     negligible : float
         Associations below this weight relative to the best are not updated.
     detection : ConstantDetection or SnrDetection
@@ -172,6 +184,9 @@ class FilterParameters:
     existence_limit: float = 0.999
     hide: float = 0.05
     reappear: float = 0.1
+    robust: float = 10.0
+    outlier: float = 20.0
+    inform: bool = True
     negligible: float = 1e-4
     detection: DetectionModel = field(default_factory=ConstantDetection)
     memory: float = 5.0
@@ -226,6 +241,9 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         negligible=float(parameters.negligible),
         hide=float(parameters.hide) if parameters.joint else 0.0,
         reappear=float(parameters.reappear),
+        robust=float(parameters.robust) if parameters.joint else np.inf,
+        outlier=float(parameters.outlier) if parameters.joint else 0.0,
+        inform=bool(parameters.inform and parameters.joint),
         sp_range=float(detection.sp_range) if limited else np.inf,
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),

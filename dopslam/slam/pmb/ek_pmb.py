@@ -31,14 +31,20 @@ from dopslam.slam.pmb.density import (
     initial_density,
     select,
 )
-from dopslam.slam.pmb.hypotheses import Associations, best_associations, local_hypotheses, normalize
+from dopslam.slam.pmb.hypotheses import (
+    ESTABLISHED,
+    Associations,
+    best_associations,
+    distort,
+    local_hypotheses,
+    normalize,
+    track_starts,
+)
+from dopslam.slam.pmb.newborn import RARE
 from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
 
-ESTABLISHED = (
-    2.5  # detections from which a landmark may be out of sight (an average over associations: no whole number)
-)
 LARGEST_LENGTH, LARGEST_ANGLE, LARGEST_SPEED = 1e9, 1e3, 3e8  # m, rad, m/s: no measurement or deviation is larger
 
 
@@ -135,14 +141,20 @@ def worth_updating(associations, negligible):
 
 @compiled
 def prune(density, threshold):
-    """Drop the blocks whose weight lies below `threshold`."""
+    """Drop the tracks whose existence lies below `threshold`, and of the others the types below `RARE` times that: a type
+    that one measurement makes unlikely may be the right one."""
     kept = np.empty(density.kind.shape[0], dtype=np.int64)
     count = 1
     kept[0] = 0
-    for b in range(1, density.kind.shape[0]):
-        if density.weight[b] >= threshold:
-            kept[count] = b
-            count += 1
+    first = track_starts(density.track)
+    for t in range(1, first.shape[0] - 1):
+        existence = 0.0
+        for b in range(first[t], first[t + 1]):
+            existence += density.weight[b]
+        for b in range(first[t], first[t + 1]):
+            if existence >= threshold and density.weight[b] >= RARE * threshold:
+                kept[count] = b
+                count += 1
     if count == density.kind.shape[0]:
         return density
     return select(density, kept[:count])
@@ -194,6 +206,7 @@ def step(posterior, scan, model):
     prior = predict(posterior, model)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
+    distort(prior, local, log_new, model)
     associations, _ = best_associations(local, log_new, model)
     chosen = worth_updating(associations, model.negligible)
     updated, log_weight, nis, rows = update(prior, n, local, scan, chosen, log_term, log_new, position, model)

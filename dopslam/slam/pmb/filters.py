@@ -35,6 +35,8 @@ class Joint:
     iterations : linearizations per update; 1 is the plain EKF
     associations : γ, data associations kept per step
     gate : squared Mahalanobis distance beyond which a measurement cannot belong to a track
+    intensity_sr : m⁻³, of undetected second reflections; None: a hundredth of the virtual anchors', 0: no such type
+    hide, reappear : probabilities per step that a landmark in sight goes out of sight, and that one just gone comes back
     prune_existence : landmarks below this existence are dropped
     linearization : ``"extended"``, or ``"cubature"`` points instead of Jacobians
     reweight : weight associations by the evidence of the joint update
@@ -49,6 +51,9 @@ class Joint:
     iterations: int = 3
     associations: int = 10
     gate: float = 40.0
+    intensity_sr: float | None = None
+    hide: float = 0.05
+    reappear: float = 0.1
     prune_existence: float = 1e-3
     linearization: str = "extended"
     reweight: bool = False
@@ -56,6 +61,7 @@ class Joint:
 
     def parameters(self, problem: Problem, scans: Scans) -> FilterParameters:
         """Choices and problem in the form that the recursion reads."""
+        second = 0.01 * problem.undetected[0] if self.intensity_sr is None else self.intensity_sr
         return FilterParameters(
             joint=self.correlated,
             doppler=self.doppler,
@@ -67,7 +73,9 @@ class Joint:
             reweight=self.reweight,
             thinning=self.thinning,
             survival=problem.survival,
-            intensity=problem.undetected,
+            hide=self.hide,
+            reappear=self.reappear,
+            intensity=(*problem.undetected, second),
             birth_intensity=problem.births,
             detection=problem.detection_of(scans),
         )

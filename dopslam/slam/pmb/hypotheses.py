@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, inlined
-from dopslam.models.kernels import cholesky, noise_entry, solve_lower_vector, subtract
+from dopslam.models.kernels import factorize, noise_entry, solve_lower_vector, subtract
 from dopslam.slam.association.murty import k_best
 from dopslam.slam.pmb.birth import log_spreading, visible_share
 from dopslam.slam.pmb.density import look_up, start_of
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 
 Array = NDArray[np.float64]
+
+ESTABLISHED = 2.5  # detections from which a landmark is no false alarm (an average over associations: no whole number)
+CELL = 1.65  # (½ c/B)² over ρ σ² of a delay with a flat band, σ = c √12/(√(8π²) B √ρ)
 
 
 class Local(NamedTuple):
@@ -30,7 +33,9 @@ class Local(NamedTuple):
     Attributes
     ----------
     detection : (H + 1,) array; p_D of each block, times its probability to be in sight
-    log_detected : (M, H + 1) array; ln(β p_D N(z; ẑ, S)) of each pair, -inf outside the gate
+    log_detected : (M, H + 1) array; ln(β p_D f(z; ẑ, S)) of each pair, -inf outside the gate
+    cell : (M, H + 1) bool array; whether a measurement lies within a resolution cell of a block, gated or not
+    outlier : (M, T) bool array; whether a pair is taken as a distorted detection
     first : (T + 1,) int array; blocks of track t are first[t]:first[t + 1], track 0 is the BS
     log_missed : (T,) array; ln ρ^{i,0}
     log_ratio : (M, T) array; ln(ρ^{i,p}/ρ^{i,0})
@@ -38,6 +43,8 @@ class Local(NamedTuple):
 
     detection: Array
     log_detected: Array
+    cell: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
     first: NDArray[np.int64]
     log_missed: Array
     log_ratio: Array
@@ -102,6 +109,7 @@ def local_hypotheses(density, n, scan, model):
     size = density.mean.shape[0]
     detection = np.empty(blocks)
     log_detected = np.full((count, blocks), -np.inf)
+    cell = np.zeros((count, blocks), dtype=np.bool_)
     predicted, nu = np.empty(m), np.empty(m)
     by_state, by_landmark = np.empty((m, n)), np.empty((m, 3))
     extra, base, factor = np.empty((m, m)), np.empty((m, m)), np.empty((m, m))
@@ -122,6 +130,12 @@ def local_hypotheses(density, n, scan, model):
         for p in range(count):
             subtract(scan.z[p], predicted, by_landmark, by_state, nu)
             near = True
+            wide = model.outlier > 0.0 and scan.log_snr[p] > 0.0 and density.detections[b] >= ESTABLISHED
+            for i in range(m):
+                if wide:
+                    noise = noise_entry(scan.covariance[p], kind, i, i)
+                    wide = nu[i] * nu[i] < 9.0 * base[i, i] + CELL * math.exp(scan.log_snr[p]) * noise
+            cell[p, b] = wide
             for i in range(m):  # each row alone bounds the distance from below
                 near = near and nu[i] * nu[i] < model.gate * (base[i, i] + noise_entry(scan.covariance[p], kind, i, i))
             if not near:
@@ -129,11 +143,11 @@ def local_hypotheses(density, n, scan, model):
             for i in range(m):
                 for j in range(m):
                     factor[i, j] = base[i, j] + noise_entry(scan.covariance[p], kind, i, j)
-            if not cholesky(factor, m):
+            if not factorize(factor, m):
                 raise ValueError("innovation covariance of a track is not positive definite")
             distance = solve_lower_vector(factor, m, nu)
             if distance < model.gate:
-                log_density = constant - 0.5 * distance
+                log_density = constant + log_shape(distance, m, model.robust)
                 for i in range(m):
                     log_density -= math.log(factor[i, i])
                 log_detected[p, b] = log_prior + log_density
@@ -155,7 +169,47 @@ def local_hypotheses(density, n, scan, model):
                 for b in range(first[t], first[t + 1]):
                     total += math.exp(log_detected[p, b] - top)
                 log_ratio[p, t] = top + math.log(total) - log_missed[t]
-    return Local(detection, log_detected, first, log_missed, log_ratio)
+    return Local(detection, log_detected, cell, np.zeros((count, tracks), dtype=np.bool_), first, log_missed, log_ratio)
+
+
+@compiled
+def log_shape(distance, m, robust):
+    """ln of an m-dimensional density at a squared Mahalanobis distance, apart from -½ m ln 2π - ½ ln|S|: Gaussian, or
+    Student-t of `robust` degrees of freedom."""
+    if robust == np.inf:
+        return -0.5 * distance
+    scale = math.lgamma(0.5 * (robust + m)) - math.lgamma(0.5 * robust) - 0.5 * m * math.log(0.5 * robust)
+    return scale - 0.5 * (robust + m) * math.log1p(distance / robust)
+
+
+@inlined
+def distort(density, local, log_new, model):
+    """Let a detection that lies within a resolution cell of a track, and that the track does not explain, be a distorted
+    detection of it (two paths that were not told apart) rather than a landmark beside it.
+
+    R falls with 1/ρ: √(6.6 ρ) standard deviations of a delay are c/B, the width of a resolution cell, and likewise in the
+    other rows; half of it on either side (`CELL`). The hypothesis is `model.outlier` times as likely as a birth if the track is in sight. The pair competes for the track
+    like any other, so that of two detections in one cell the better one takes the track and the other is born.
+    """
+    for p in range(log_new.shape[0]):
+        for t in range(local.first.shape[0] - 1):
+            if local.log_ratio[p, t] > log_new[p]:
+                continue
+            total = 0.0
+            for b in range(local.first[t], local.first[t + 1]):
+                if local.cell[p, b]:
+                    total += density.weight[b] * local.detection[b]
+            if total <= 1e-6:
+                continue
+            log_ratio = log_new[p] + math.log(model.outlier * total) - local.log_missed[t]
+            if log_ratio > local.log_ratio[p, t]:
+                local.log_ratio[p, t] = log_ratio
+                local.outlier[p, t] = True
+                for b in range(local.first[t], local.first[t + 1]):
+                    local.log_detected[p, b] = -np.inf
+                    if local.cell[p, b]:
+                        share = density.weight[b] * local.detection[b]
+                        local.log_detected[p, b] = log_new[p] + math.log(max(model.outlier * share, 1e-300))
 
 
 @compiled

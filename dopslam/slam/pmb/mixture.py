@@ -30,7 +30,7 @@ from dopslam.slam.pmb.ek_pmb import (
     ue_size,
     worth_updating,
 )
-from dopslam.slam.pmb.hypotheses import Associations, best_associations, local_hypotheses
+from dopslam.slam.pmb.hypotheses import Associations, best_associations, distort, local_hypotheses
 from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
@@ -54,6 +54,7 @@ def associate(density, scan, model):
     prior = predict(density, model)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
+    distort(prior, local, log_new, model)
     associations, log_total = best_associations(local, log_new, model)
     chosen = worth_updating(associations, model.negligible)
     missed = 0.0

@@ -11,6 +11,7 @@ from dopslam.models.kernels import SR, VA, cholesky, linearize, noise_entry, sol
 from dopslam.slam.pmb.birth import fit_landmark, starting_point
 from dopslam.slam.pmb.density import BIRTHS
 
+RARE = 1e-3  # of the pruning threshold: below it a type of a track is dropped
 PLAUSIBLE = 16.0  # χ² of the redundant rows up to which a newborn informs the UE (99.9 % of three degrees of freedom)
 
 
@@ -110,7 +111,7 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
         if c == 0 or measurement[c - 1] != p:  # the sibling of the other type must not use the measurement again
             copy_matrix(covariance[:n, :n], spread)
             informed = False
-            if model.joint and real[p] > 0.5 and kind != SR:
+            if model.inform and real[p] > 0.5 and kind != SR:
                 _, chi2, _ = fit_landmark(z, noise, state, spread, kind, model.site, -np.inf, x, gain, own)
                 if chi2 < PLAUSIBLE:
                     informed = inform(mean, covariance, n, at, z, noise, kind, x, real[p], model)
@@ -149,8 +150,8 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
 
 @compiled
 def newborn_table(log_weight, association, log_term, log_new, prune):
-    """Measurement and kind of every birth whose weight over all associations reaches `prune`, the likeliest measurement
-    first: they inform the UE one after another, in an order that must not depend on that of the detections.
+    """Measurement and kind of every birth whose existence over all associations reaches `prune`, and whose type's share
+    `RARE` times that, the likeliest measurement first: they inform the UE one after another, in an order that must not depend on that of the detections.
     """
     count = log_new.shape[0]
     measurement, kinds = np.empty(BIRTHS * count, dtype=np.int64), np.empty(BIRTHS * count, dtype=np.int64)
@@ -160,8 +161,11 @@ def newborn_table(log_weight, association, log_term, log_new, prune):
         for a in range(association.shape[0]):
             if association[a, p] < 0:
                 new += math.exp(log_weight[a])
+        existence = 0.0
         for t in range(BIRTHS):
-            if new * math.exp(log_term[p, t] - log_new[p]) >= prune:
+            existence += new * math.exp(log_term[p, t] - log_new[p])
+        for t in range(BIRTHS):
+            if existence >= prune and new * math.exp(log_term[p, t] - log_new[p]) >= RARE * prune:
                 measurement[total] = p
                 kinds[total] = VA + t
                 total += 1

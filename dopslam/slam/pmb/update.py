@@ -9,10 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
-from dopslam.models.kernels import VA, cholesky, noise_entry, solve_lower, subtract
+from dopslam.models.kernels import (
+    VA,
+    factorize,
+    linearize,
+    noise_entry,
+    solve_lower,
+    solve_lower_vector,
+    subtract,
+)
 from dopslam.slam.pmb.birth import log_spreading
 from dopslam.slam.pmb.density import PMB, start_of
-from dopslam.slam.pmb.hypotheses import normalize
+from dopslam.slam.pmb.hypotheses import CELL, normalize
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 from dopslam.slam.pmb.newborn import give_birth, newborn_table
 from dopslam.slam.pmb.projection import cap_existence, drop_cross_covariances, moment_match
@@ -47,9 +55,9 @@ def workspace(m, n, size):
 
 
 @compiled
-def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, work):
-    """Whiten one innovation linearized at `point` (its Gaussian `around`, for cubature); ln N(ν; 0, S) and
-    νᵀS⁻¹ν.
+def _innovate(z, noise, scale, mean, covariance, n, block, kind, point, around, model, work):
+    """Whiten one innovation with `scale` times R, linearized at `point` (its Gaussian `around`, for cubature);
+    ln N(ν; 0, S) and νᵀS⁻¹ν.
 
     Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
     """
@@ -64,10 +72,10 @@ def _innovate(z, noise, mean, covariance, n, block, kind, point, around, model, 
             for k in range(3):
                 work.nu[i] -= work.by_landmark[i, k] * (mean[start + k] - point[start + k])
         for j in range(m):
-            work.extra[i, j] += noise_entry(noise, kind, i, j)
+            work.extra[i, j] += scale * noise_entry(noise, kind, i, j)
     project_rows(covariance, n, block, work.by_state, work.by_landmark, work.projected)
     innovation_covariance(work.projected, n, block, work.by_state, work.by_landmark, work.extra, work.factor)
-    if not cholesky(work.factor, m):
+    if not factorize(work.factor, m):
         raise ValueError("innovation covariance of an update is not positive definite")
     solve_lower(work.factor, m, work.projected)
     distance, log_density = 0.0, -0.5 * m * math.log(2.0 * math.pi)
@@ -133,6 +141,32 @@ def likeliest_block(local, p, t):
     return best
 
 
+@compiled
+def doubt(mean, n, local, scan, association, kind, model, work, scale):
+    """Student-t weights: R of a measurement that does not fit the updated state grows by (ν + d)/(ν + m).
+
+    The distance d = eᵀR⁻¹e is that to the state which all measurements of the scan made together, not to the prediction:
+    process noise of centimetres hides an error of many millimetres in front of a prediction, but not beside the others.
+    """
+    m = scan.z.shape[1]
+    for p in range(scan.z.shape[0]):
+        t = association[p]
+        if t < 0 or local.outlier[p, t]:
+            continue
+        b = likeliest_block(local, p, t)
+        start = start_of(n, b) if b > 0 else 0
+        linearize(
+            mean[:n], mean[start : start + 3], kind[b], model.site, work.predicted, work.by_state, work.by_landmark
+        )
+        subtract(scan.z[p], work.predicted, work.by_landmark, work.by_state, work.nu)
+        for i in range(m):
+            for j in range(m):
+                work.factor[i, j] = noise_entry(scan.covariance[p], kind[b], i, j)
+        if factorize(work.factor, m):
+            squared = solve_lower_vector(work.factor, m, work.nu)
+            scale[p] = max(1.0, (model.robust + squared) / (model.robust + m))
+
+
 @inlined
 def joint_update(density, n, local, scan, association, model, work):
     """One EKF update of `[s; x_1; …]` with all measurements a data association gives to tracks.
@@ -150,8 +184,14 @@ def joint_update(density, n, local, scan, association, model, work):
     point, around = density.mean, density.covariance
     distance = evidence = 0.0
     mean, covariance = density.mean.copy(), density.covariance.copy()
+    scale = np.ones(count)
+    for p in range(count):
+        if association[p] >= 0 and local.outlier[p, association[p]]:
+            scale[p] = 1.0 + CELL * math.exp(scan.log_snr[p])
     for iteration in range(model.iterations):
         if iteration > 0:
+            if model.robust < np.inf:
+                doubt(mean, n, local, scan, association, density.kind, model, work, scale)
             point, around = mean, covariance
             mean, covariance = density.mean.copy(), density.covariance.copy()
         for p in range(count):
@@ -162,6 +202,7 @@ def joint_update(density, n, local, scan, association, model, work):
             d, e = _innovate(
                 scan.z[p],
                 scan.covariance[p],
+                scale[p],
                 mean,
                 covariance,
                 n,
@@ -186,6 +227,7 @@ def joint_update(density, n, local, scan, association, model, work):
                 _innovate(
                     scan.z[p],
                     scan.covariance[p],
+                    scale[p],
                     mean,
                     covariance,
                     n,
@@ -204,7 +246,9 @@ def joint_update(density, n, local, scan, association, model, work):
 def weights_after(density, local, scan, association, model, weight, reference, detections, visible, unseen):
     """Block weights r'μ', SNR references, detection counts and sight of the existing tracks after one association.
 
-    A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1.
+    A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1. A distorted detection
+    leaves the existence alone and counts as a miss for the sight, so that what goes on beside a landmark that has gone
+    becomes a landmark of its own.
     """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
@@ -220,6 +264,10 @@ def weights_after(density, local, scan, association, model, weight, reference, d
     for p in range(scan.z.shape[0]):
         t = association[p]
         if t < 0:
+            continue
+        if local.outlier[p, t]:  # neither a detection nor a miss: what was seen may have been something else
+            for b in range(local.first[t], local.first[t + 1]):
+                weight[b] = density.weight[b]
             continue
         total = local.log_ratio[p, t] + local.log_missed[t]
         for b in range(local.first[t], local.first[t + 1]):
