@@ -30,6 +30,9 @@ class Flag(IntFlag):
     """An array takes another direction in its view for the same. A line of elements sees only a cone about its axis:
     elevation is reported as 0 with infinite variance, azimuth on the side that the line faces (+x, or +y of a line along
     x) with the variance of the azimuths on the cone. The mirror image behind a planar array is not in the covariance."""
+    MERGED = 32
+    """The residual about the path is not noise: two paths in one, or a model that does not fit. The covariance has grown
+    by what that can have moved it."""
 
 
 @dataclass(frozen=True, eq=False)

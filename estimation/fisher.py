@@ -32,7 +32,7 @@ def fisher_information(model: SignalModel, paths: PathTable, noise_variance: flo
     blocks = model.evaluate(paths.geometry)
     matrix = gram(model, blocks)
     inverse = inverted(matrix[:, 0, :, 0])
-    lin = Linearization(paths.geometry, blocks, paths.gain, matrix, inverse, 0.0, np.zeros((len(paths), 6)))
+    lin = Linearization(paths.geometry, blocks, paths.gain, matrix, inverse, 0.0, *np.zeros((2, len(paths), 6)))
     return information(lin, model.active) * 2 / noise_variance
 
 

@@ -36,6 +36,7 @@ class Linearization:
     inverse : (P, P) inverse Gram matrix of the signatures
     explained : energy explained by the paths, ``b^H G^-1 b``
     gradient : (P, 6) ``Re{conj(g) <d_a s, residual>}``
+    quadrature : (P, 6) the imaginary part, which no move of the path removes
     """
 
     geometry: Geometry
@@ -45,6 +46,7 @@ class Linearization:
     inverse: np.typing.NDArray[np.complex128]
     explained: float
     gradient: Float
+    quadrature: Float
 
     @property
     def drop(self) -> Float:
@@ -68,6 +70,7 @@ class Linearization:
             self.inverse[order][:, order],
             self.explained,
             self.gradient[order],
+            self.quadrature[order],
         )
 
 
@@ -88,21 +91,26 @@ def linearize(data: Projector, geometry: Geometry) -> Linearization:
     inverse = inverted(matrix[:, 0, :, 0])
     gain = inverse @ inner[:, 0]
     residual = inner - matrix[:, :, :, 0] @ gain
-    gradient = np.real(gain.conj()[:, None] * residual[:, 1:])
+    slope = gain.conj()[:, None] * residual[:, 1:]
     explained = float(np.vdot(inner[:, 0], gain).real)
-    return Linearization(geometry, blocks, gain, matrix, inverse, explained, gradient)
+    return Linearization(geometry, blocks, gain, matrix, inverse, explained, slope.real, slope.imag)
 
 
 def information(lin: Linearization, active) -> Float:
     """Gauss-Newton matrix (6P, 6P) with the gains eliminated; half of sigma^2 times the Fisher information."""
+    matrix = np.real(tangent_gram(lin))
+    idle = np.tile(~np.asarray(active), len(lin.gain))
+    matrix[idle], matrix[:, idle] = 0.0, 0.0
+    return matrix
+
+
+def tangent_gram(lin: Linearization) -> np.ndarray:
+    """Complex Gram matrix (6P, 6P) of the derivatives ``g d_a s``, what signatures span taken out."""
     paths = len(lin.gain)
     mixed = lin.gram[:, 0, :, 1:].reshape(paths, -1)
     weight = np.repeat(lin.gain, 6)
     full = lin.gram[:, 1:, :, 1:].reshape(6 * paths, 6 * paths) - mixed.conj().T @ (lin.inverse @ mixed)
-    matrix = np.real(weight.conj()[:, None] * full * weight)
-    idle = np.tile(~np.asarray(active), paths)
-    matrix[idle], matrix[:, idle] = 0.0, 0.0
-    return matrix
+    return weight.conj()[:, None] * full * weight
 
 
 def metric(grams, active) -> Float:

@@ -16,6 +16,7 @@ from ..signal.observability import cone_variance, confused, mirrored
 from ..signal.paths import Geometry, tangent_jacobian
 from .detect import fitted_excess
 from .grids import View
+from .misfit import misfit
 from .projector import Projector
 from .refine import Linearization, information, linearize
 
@@ -102,7 +103,9 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     tangent = path_covariances(
         information(unbiased(lin, snr, estimator.level, model.active), model.active) * 2 / noise_variance, model.active
     )
-    flags = np.zeros(len(snr), np.uint8)
+    residue = misfit(lin, noise_variance, model.active)
+    tangent = residue.inflated(tangent)
+    flags = np.where(residue.merged, np.uint8(Flag.MERGED), np.uint8(0))
     for number, (array, directions, view) in enumerate(
         (
             (model.receiver, geometry.arrival, estimator.arrival_view),
