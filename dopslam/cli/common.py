@@ -97,10 +97,16 @@ def progress_display() -> Iterator[Progress]:
         yield report
 
 
+REMEDY = 'check start, motion and covariances; --set filter.start="snapshot" starts from the detections alone'
+
+
 def leave_if_lost(summary: dict, console) -> None:
     """Name every filter that diverged; leave with 3 if the leading one did."""
     lost = [name for name, figures in summary["variants"].items() if figures.get("diverged")]
     if lost:
-        console.print(f"diverged: {', '.join(lost)}; do not use these tracks (check start, motion and covariances)")
+        console.print(f"diverged: {', '.join(lost)}; do not use these tracks ({REMEDY})")
+        for name in lost:
+            if "lost" in summary["variants"][name]:
+                console.print(f"{name}: {summary['variants'][name]['lost']}")
     if summary["filter"] in lost:
         sys.exit(3)

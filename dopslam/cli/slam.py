@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from dopslam.cli.common import Filters, Settings, doppler_choice, filter_names, overrides
+from dopslam.cli.common import REMEDY, Filters, Settings, doppler_choice, filter_names, overrides
 
 
 def slam(
@@ -30,8 +31,17 @@ def slam(
     settings
         Override a scenario key, for instance --set filter.associations=1.
     """
+    from rich.console import Console
+
     from dopslam.pipeline import file as stages
 
     used, _ = doppler_choice(doppler_std)
+    lost = {}
     for name in filter_names(filters) or [None]:
-        stages.slam(dataset, overrides(settings), name, used)
+        variant = stages.slam(dataset, overrides(settings), name, used)
+        lost[variant] = stages.why_lost(dataset, variant)
+    for variant, why in lost.items():
+        if why:
+            Console(markup=False, soft_wrap=True).print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})")
+    if next(iter(lost.values())):
+        sys.exit(3)

@@ -32,6 +32,7 @@ class Evaluation:
     nees : (K,) normalized squared error of the state, 4 expected
     gospa_va, gospa_sp : (K,) m
     found : (L,) m, distance of every true landmark to its estimate at the last step, inf if there is none
+    lost : why the filter's own history counts as lost, without the truth; empty if it does not
     """
 
     position_error: np.ndarray
@@ -44,17 +45,19 @@ class Evaluation:
     gospa_va: np.ndarray
     gospa_sp: np.ndarray
     found: np.ndarray
+    lost: str = ""
 
     @property
     def diverged(self) -> bool:
-        """Whether the track is lost by the truth: an error at the end, or a claim of accuracy, that no luck explains.
+        """Whether the track is lost by its own history, or by the truth: an error at the end, or a claim of accuracy, that
+        no luck explains.
 
-        The last position is beyond 10 m and 30 times its bound, or more than half of the NEES exceed
+        By the truth: the last position is beyond 10 m and 30 times its bound, or more than half of the NEES exceed
         ``LOST_NEES`` (4 are expected; a filter that is merely overconfident stays in the tens).
         """
         nees = np.nan_to_num(self.nees, nan=np.inf)
         astray = not self.position_error[-1] <= max(10.0, 30.0 * float(np.nan_to_num(self.peb[-1], posinf=1e9)))
-        return bool(astray or np.median(nees) > LOST_NEES)
+        return bool(self.lost or astray or np.median(nees) > LOST_NEES)
 
     @property
     def rmse_over_bound(self) -> dict[str, float]:
@@ -159,6 +162,7 @@ def evaluate_run(
         gospa_va=gospa(Kind.VA),
         gospa_sp=gospa(Kind.SP),
         found=landmark_errors(landmarks, history, threshold, largest_order),
+        lost=history.lost,
     )
 
 
@@ -176,6 +180,7 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
 
     return {
         "diverged": evaluation.diverged,
+        **({"lost": evaluation.lost} if evaluation.lost else {}),
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),
         "clock_bias_rmse_m": _rms(evaluation.bias_error),

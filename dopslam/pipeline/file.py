@@ -148,7 +148,7 @@ def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detec
 
 
 def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool = True) -> str:
-    """Add the history of one filter variant; returns its name."""
+    """Add the history of one filter variant; returns its name (:func:`why_lost` says whether it can be trusted)."""
     scenario, seed = scenario_of(path, settings)
     detections = blurred(scenario, read_detections(path), seed)
     filter_name = filter_name or scenario.filter.density
@@ -167,6 +167,11 @@ def histories(path: Path) -> dict[str, History]:
     known = [variant for name in FILTERS for variant in (name, name + WITHOUT)]
     order = sorted(names, key=lambda v: (known.index(v) if v in known else len(known), v))
     return {name: dataset.read_record(path, names[name], History) for name in order}
+
+
+def why_lost(path: Path, variant: str) -> str:
+    """Why a filter variant's receiver counts as lost by its own history; empty if it does not."""
+    return dataset.read_record(path, _group("slam", variant), History).lost
 
 
 def bound(path: Path, settings=(), doppler: bool = True) -> None:

@@ -28,6 +28,7 @@ from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
 from dopslam.slam.filter import run as run_filter
+from dopslam.slam.health import divergence
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
 
@@ -304,7 +305,10 @@ def slam(
     FilterError
         If the detections cannot be filtered.
     """
-    return run_filter(build.problem(scenario), detections, build.chosen_filter(scenario, name, doppler), seed)[0]
+    problem = build.problem(scenario)
+    scans = problem.scans(detections)
+    history, _ = run_filter(problem, scans, build.chosen_filter(scenario, name, doppler), seed)
+    return replace(history, lost=divergence(history, scans, problem.anchor, problem.height))
 
 
 def uses_doppler(scenario: Scenario, name: str) -> bool:

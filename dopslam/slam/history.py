@@ -58,6 +58,7 @@ class History(Ragged):
     type_probability : (N, T) array; P(type | exists), column t of the type that :class:`~dopslam.records.Kind` numbers t
     kind : (N,) int array; the likelier type, a number of Kind
     track : (N,) int array; number of the measurement that bore the track
+    lost : why the receiver counts as lost, told without the truth (:mod:`dopslam.slam.health`); empty if it does not
     """
 
     OFFSETS: ClassVar[str] = "map_offsets"
@@ -72,6 +73,7 @@ class History(Ragged):
     type_probability: Array
     kind: NDArray[np.int64]
     track: NDArray[np.int64]
+    lost: str = ""
 
     def __post_init__(self) -> None:
         check_offsets("History", self.map_offsets, len(self.position))

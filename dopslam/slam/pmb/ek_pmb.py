@@ -348,7 +348,7 @@ def run(
     except ValueError as error:
         raise FilterError(
             f"step {at[0]}: {error}; check the measurement covariances and the prior: the likely cause is a prior too wide "
-            "for a linearization, and the remedy a start from a snapshot"
+            'for a linearization, and the remedy a start from a snapshot (filter.start = "snapshot")'
         ) from error
     owned = [scans.rows(k) for k in range(scans.steps)]
     diagnostics = Diagnostics(

@@ -1,0 +1,152 @@
+"""Whether a filter has lost its receiver, told from its own history and the measurements alone: no truth, no internals.
+
+Every step's state and the landmarks that were declared the step before predict measurements; a measurement near one of
+them is explained. The base station is the one landmark whose place is known. A filter that is lost does not explain it
+any more, and leaves more measurements unexplained than false ones are expected, or explains its line of sight in
+direction but not in length. A receiver that is only hidden from the base station goes on explaining the other paths.
+
+Works on any filter's history. What is judged is its end, or what went on for at least half of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.models.measurement import BS, SP, jacobians, measure, residual
+from dopslam.models.scans import Scans
+from dopslam.slam.history import History
+
+Array = NDArray[np.float64]
+
+ROWS = 5  # of a measurement that are looked at: what Doppler says depends on a speed that need not be known
+GATE = 25.0  # squared Mahalanobis distance of five rows that is near: 1.4e-4 of the right ones lie beyond
+DECLARED = 0.5  # existence of a landmark from which it counts
+FEWEST = 5  # steps with measurements without the base station before anything is said
+NEWBORN = 2  # measurements of a new landmark before it is declared
+DEVIATIONS = 4.5  # of a number of measurements, or of a sum of squares, above its mean that are no accident
+ASTRAY = 0.4  # share of steps that show the line of sight at another length
+FAR = 3.0  # mean squared distance per row of what is explained; 1 is expected
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """What a history explains of the measurements, one entry per step.
+
+    Attributes
+    ----------
+    measured, explained : (K,) numbers of measurements
+    sighted : (K,) bool; the base station is among what is explained
+    shifted : (K,) bool; it is in direction, but not in length
+    distance : (K,) sum of the squared Mahalanobis distances of what is explained
+    fresh : (K,) landmarks declared for the first time
+    too_far : (K,) bool; the base station is farther than most paths are long, which is impossible
+    """
+
+    measured: NDArray[np.int64]
+    explained: NDArray[np.int64]
+    sighted: NDArray[np.bool_]
+    shifted: NDArray[np.bool_]
+    distance: Array
+    fresh: NDArray[np.int64]
+    too_far: NDArray[np.bool_]
+
+
+def explained(history: History, scans: Scans, station: Array, height: float) -> Explained:
+    """Compare the measurements of every step with the state after it and the landmarks declared the step before."""
+    steps = history.steps
+    count, sighted, shifted, too_far = (np.zeros(steps, int) for _ in range(4))
+    distance, fresh = np.zeros(steps), np.zeros(steps, int)
+    known: set[int] = set()
+    for k in range(steps):
+        rows, mapped = scans.rows(k), history.rows(k)
+        declared = set(history.track[mapped][history.existence[mapped] > DECLARED].tolist())
+        fresh[k] = len(declared - known)
+        known |= declared
+        if rows.start == rows.stop:
+            continue
+        squared, in_direction = _distances(history, k, scans.z[rows], scans.covariance[rows], station, height)
+        near = squared.min(axis=1)
+        count[k] = np.sum(near < GATE)
+        distance[k] = near[near < GATE].sum()
+        sighted[k] = np.any(squared[:, 0] < GATE)
+        shifted[k] = not sighted[k] and np.any(in_direction < GATE)
+        apart = np.hypot(np.linalg.norm(history.mean[k, :2] - station[:2]), height - station[2])
+        spread = np.sqrt(np.trace(history.covariance[k][:2, :2]) + history.covariance[k][3, 3])
+        too_far[k] = apart - 5.0 * spread > np.median(scans.z[rows, 0] - history.mean[k, 3])
+    measured = np.diff(scans.offsets)
+    return Explained(measured, count, sighted > 0, shifted > 0, distance, fresh, too_far > 0)
+
+
+def _distances(
+    history: History, k: int, z: Array, covariance: Array, station: Array, height: float
+) -> tuple[Array, Array]:
+    """Squared Mahalanobis distances (M, 1 + L) to base station and landmarks, and (M,) those of the angles to the former."""
+    before = history.rows(k - 1) if k else slice(0, 0)
+    declared = history.existence[before] > DECLARED
+    position = np.vstack([station[None], history.position[before][declared]])
+    kind = np.concatenate([[BS], history.kind[before][declared]])
+    spread = np.concatenate([np.zeros((1, 3, 3)), history.position_covariance[before][declared]])
+    state = history.mean[k][None]
+    predicted = measure(state, position, kind, station, height=height)
+    by_state, by_landmark = (part[..., :ROWS, :] for part in jacobians(state, position, kind, station, height=height))
+    own = by_state @ history.covariance[k] @ by_state.swapaxes(-1, -2) + by_landmark @ spread @ by_landmark.swapaxes(
+        -1, -2
+    )
+    own[kind > SP, 3:, 3:] += (2 * np.pi) ** 2 * np.eye(2)  # kinds whose departure nothing explains
+    off = residual(z[:, None], predicted[None])[..., :ROWS]
+    total = own[None] + covariance[:, None, :ROWS, :ROWS]
+    total = 0.5 * (total + total.swapaxes(-1, -2))
+    angles = np.einsum("mi,mi->m", off[:, 0, 1:], np.linalg.solve(total[:, 0, 1:, 1:], off[:, 0, 1:, None])[..., 0])
+    return np.einsum("mli,mli->ml", off, np.linalg.solve(total, off[..., None])[..., 0]), angles
+
+
+def divergence(history: History, scans: Scans, station: Array, height: float) -> str:
+    """Why the receiver counts as lost, in a clause; empty if nothing speaks for it.
+
+    Parameters
+    ----------
+    history : of any filter
+    scans : what it read
+    station : (3,) m, the base station
+    height : m, of the receiver's plane
+    """
+    finite = np.isfinite(history.mean).all(axis=1) & np.isfinite(history.covariance).all(axis=(1, 2))
+    if not finite.all():
+        return f"its state is no number from step {int(np.argmin(finite))} on"
+    seen = explained(history, scans, np.asarray(station, float), height)
+    steps = np.flatnonzero(seen.measured > 0)
+    last = steps[-2 * FEWEST :]
+    if seen.explained[last].sum() >= FEWEST:
+        spread = seen.distance[last].sum() / (ROWS * seen.explained[last].sum())
+        if spread > FAR:
+            return f"what it still explains is {spread:.1f} times as far off as it claims (1 is expected)"
+    lost = _longest_blind(seen, steps)
+    if len(lost) < FEWEST or not (lost[-1] == steps[-1] or 2 * len(lost) >= len(steps)):
+        return ""
+    where = f"from step {lost[0]} to {lost[-1]} the base station is never where it should be"
+    if not seen.explained[lost].any() and seen.measured[lost].sum() > 2 * len(lost) * scans.clutter_count:
+        return f"{where}, nor is anything of the map"
+    if seen.shifted[lost].mean() > ASTRAY:
+        return f"{where}: right in direction, wrong in length"
+    if seen.too_far[lost].mean() > 0.5:
+        return f"{where}, and it would be farther than most paths are long"
+    open_, sighted = seen.measured - seen.explained, steps[seen.sighted[steps]]
+    usual = max(float(scans.clutter_count), float(open_[sighted].mean()) if len(sighted) >= FEWEST else 0.0)
+    expected = max(usual * len(lost) + NEWBORN * seen.fresh[lost].sum(), 1.0)
+    found, rows = int(open_[lost].sum()), ROWS * int(seen.explained[lost].sum())
+    if found > expected + DEVIATIONS * np.sqrt(expected):
+        return f"{where}, and {found} detections are unexplained where {expected:.0f} are usual"
+    squared = float(seen.distance[lost].sum())
+    if squared > rows + DEVIATIONS * np.sqrt(2 * rows):  # a chi-square sum of as many degrees of freedom
+        return f"{where}, and what is explained is {squared / rows:.1f} times as far off as it claims (1 is expected)"
+    return ""
+
+
+def _longest_blind(seen: Explained, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The longest series of steps with measurements in which the base station is not explained."""
+    sights = np.concatenate([[-1], np.flatnonzero(seen.sighted[steps]), [len(steps)]])
+    longest = int(np.argmax(np.diff(sights)))
+    return steps[sights[longest] + 1 : sights[longest + 1]]
