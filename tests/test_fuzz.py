@@ -241,7 +241,8 @@ def table_attack(rng: np.random.Generator, have: Material, here: Path) -> Attack
         sections = [*tree, "assumed", "noise_floor_db", "x"]
         section = str(rng.choice(sections))
         key = str(rng.choice(["delay", "aoa_azimuth", "aod_elevation", "doppler", "power", "snr", "step", "time", "uplink", "elevation", "y"]))  # fmt: skip
-        value = tomllib.loads(f"v = {rng.choice([*NUMBERS, *(v for v in ODD if v and v not in ('=', 'word', 'nonsense'))])}")["v"]  # fmt: skip
+        odd = [v for v in ODD if v and v not in ("=", "word") and "[[[" not in v]
+        value = tomllib.loads(f"v = {rng.choice([*NUMBERS, *odd])}")["v"]
         if section in tree and isinstance(tree[section], dict) and rng.integers(4):
             tree[section][key] = value
         else:
@@ -389,7 +390,7 @@ def tracks_attack(rng: np.random.Generator, have: Material, here: Path) -> Attac
         tree["vary"] = {key: [tomllib.loads(f"v = {number}")["v"] for number in rng.choice(NUMBERS, 2)]}
         if place == 2:
             tree["vary"][key] = [allowed(KEYS[key].annotation, list(KEYS[key].metadata), rng)]
-    with contextlib.suppress(TypeError):
+    with contextlib.suppress(TypeError, RecursionError):
         file.write_text(tomli_w.dumps(tree) if rng.integers(6) else tomli_w.dumps(tree)[: rng.integers(200)])
     return Attack([["sweep", file, "--out", here / "o", "--jobs", "1"]], (file.name, *tree["vary"]) if isinstance(tree.get("vary"), dict) else (file.name,))  # fmt: skip
 

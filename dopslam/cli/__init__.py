@@ -9,6 +9,8 @@ import contextlib
 import os
 import signal
 import sys
+from types import FrameType
+from typing import Any
 
 from cyclopts import App, CycloptsError
 
@@ -41,6 +43,7 @@ app = App(
     help="Radio SLAM end to end: trace a scene, synthesize, estimate the channel, run SLAM, compare with bounds.",
     version_flags=["--version"],
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,  # it leaves with one line, below
 )
 for _verb, _help in VERBS.items():
     _name = "import_" if _verb == "import" else _verb  # a keyword is no module
@@ -57,13 +60,13 @@ def main(tokens: list[str] | None = None) -> None:
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     _tolerate_narrow_terminals()
-    previous = _end_on_terminate()
+    previous = _handled()
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         _fail(str(error))
-    except KeyboardInterrupt:
-        _fail("interrupted", 130)
+    except KeyboardInterrupt as error:
+        _fail("; ".join(["interrupted", *getattr(error, "__notes__", ())]), 130)
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
@@ -72,26 +75,48 @@ def main(tokens: list[str] | None = None) -> None:
             raise
         _fail(sentence(error))
     finally:
-        if previous is not None:
-            signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
-def _end_on_terminate():
-    """Leave at once on SIGTERM, workers first; returns the former handler, None outside the main thread.
+def _handled() -> dict[int, Any]:
+    """Handle SIGTERM and SIGINT; returns the former handlers, none outside the main thread.
 
-    An exception would unwind through a compiler at work, which brings the process down. What is half written lies beside
-    its target under a hidden name, as after any other sudden end.
+    An exception that unwinds through a compiler at work brings the process down. SIGTERM therefore leaves at once, workers
+    first; what is half written lies beside its target under a hidden name, as after any other sudden end. SIGINT, after
+    which finished results are moved into place, waits until the compiler has done; a second one leaves at once.
     """
+    waiting: list[int] = []
 
-    def end(*_):
+    def end(number, _):
         _end_workers()
-        os.write(2, b"dopslam: terminated\n")
-        os._exit(143)
+        os.write(2, b"dopslam: terminated\n" if number == signal.SIGTERM else b"dopslam: interrupted\n")
+        os._exit(128 + number)
+
+    def interrupt(number, frame):
+        if number == signal.SIGINT and waiting:
+            end(number, frame)
+        if _compiling(frame):
+            waiting.append(number)
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+        else:
+            raise KeyboardInterrupt
 
     try:
-        return signal.signal(signal.SIGTERM, end)
+        return {
+            number: signal.signal(number, handler)
+            for number, handler in ((signal.SIGTERM, end), (signal.SIGINT, interrupt), (signal.SIGALRM, interrupt))
+        }
     except ValueError:
-        return None
+        return {}
+
+
+def _compiling(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if f"{os.sep}numba{os.sep}" in frame.f_code.co_filename or "llvmlite" in frame.f_code.co_filename:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _tolerate_narrow_terminals() -> None:

@@ -63,8 +63,10 @@ def bound(
     from dopslam import problem as build
     from dopslam.config.scenario import load
     from dopslam.report.folder import write_text
+    from dopslam.store.place import refuse_no_file
     from dopslam.studies.summary import bound_table, contribution_table, nominal_bound
 
+    refuse_no_file(csv, contributions)
     reach = _visibility(visibility)
     scenario = load(scene, overrides(settings))
     result = nominal_bound(scenario, prior, doppler, std, reach, information == "weighted")

@@ -16,7 +16,14 @@ def _seed(_: type, value: int) -> None:
         raise ValueError(f"a seed is a whole number from 0 to 2^63 - 1, not {value}")
 
 
+def _runs(_: type, value: int) -> None:
+    if not 1 <= value <= LARGEST_RUNS:
+        raise ValueError(f"a number of runs is a whole number from 1 to {LARGEST_RUNS}, not {value}")
+
+
 LARGEST_JOBS = 1024
+LARGEST_RUNS = 1_000_000
+Runs = Annotated[int, Parameter(validator=_runs)]
 Seed = Annotated[int, Parameter(validator=_seed)]
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 Filters = Annotated[list[str] | None, Parameter(name="--filter", negative=())]

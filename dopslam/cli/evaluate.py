@@ -21,11 +21,17 @@ def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = Non
     """
     from rich.console import Console
 
+    from dopslam.errors import DatasetError
     from dopslam.pipeline import file as stages
     from dopslam.report import tables
+    from dopslam.store.place import refuse_unwritable
 
+    target = out or dataset.resolve().parent
+    if target.is_file():
+        raise DatasetError(f"{target}: is a file; name a folder with --out")
+    refuse_unwritable(target)
     summary, evaluations = stages.evaluate(dataset, overrides(settings))
-    stages.report(dataset, out or dataset.resolve().parent, summary, evaluations)
     console = Console(markup=False)
-    console.print(tables.run_table(summary))
+    console.print(tables.run_table(summary))  # first: what a full disk cannot take back
+    stages.report(dataset, target, summary, evaluations)
     leave_if_lost(summary, console)

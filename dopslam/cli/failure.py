@@ -4,7 +4,11 @@ from __future__ import annotations
 
 
 def sentence(error: Exception) -> str:
-    """What a person is told of an error: what, where, and the remedy."""
+    """What a person is told of an error: what, where, the remedy, and what was kept."""
+    return "; ".join([_what(error), *getattr(error, "__notes__", ())])
+
+
+def _what(error: Exception) -> str:
     from dopslam.errors import DopslamError
     from estimation.errors import EstimationError
 

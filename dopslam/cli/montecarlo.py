@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dopslam.cli.common import Filters, Seed, Settings, doppler_choice, filter_names, overrides, worker_count
+from dopslam.cli.common import Filters, Runs, Seed, Settings, doppler_choice, filter_names, overrides, worker_count
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -15,7 +15,7 @@ def montecarlo(
     scene: str,
     *,
     source: Literal["model", "experiment"] | None = None,
-    runs: int = 100,
+    runs: Runs = 100,
     filters: Filters = None,
     particles: int | None = None,
     doppler_std: str | None = None,
@@ -63,7 +63,9 @@ def montecarlo(
     from dopslam.cluster import workers
     from dopslam.config.scenario import load
     from dopslam.errors import ConfigError
+    from dopslam.store.place import refuse_no_file
 
+    refuse_no_file(json)
     names = filter_names(filters) or ["joint"]
     flags = overrides(settings, filter__particles=None if particles is None else str(particles))
     scenario = load(scene, flags)

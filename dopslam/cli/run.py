@@ -37,7 +37,8 @@ def run(
 ) -> None:
     """Trace, synthesize, estimate, run SLAM, bound and evaluate one scenario; leaves a results folder.
 
-    The table shows every filter with and without Doppler on the same detections.
+    A run that fails or is interrupted keeps what it finished in <scene>-<time>-unfinished. The table
+    shows every filter with and without Doppler on the same detections.
 
     Parameters
     ----------

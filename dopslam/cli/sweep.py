@@ -38,14 +38,26 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
         out.mkdir(parents=True)
     except OSError as error:
         raise DatasetError(f"{out}: cannot be made ({error.strerror}); give another folder") from error
-    with workers(cluster) as threads, timed_bars() as progress:
-        rows = library.run_sweep(plan, out, threads or worker_count(jobs), progress)
-    header, body = library.table(rows)
-    write_text(
-        out / "table.csv", "".join(",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body])
-    )
-    results = [{"point": row.point, "figures": row.figures, "diverged": row.diverged} for row in rows]
-    write_json(out / "sweep.json", {"runs": plan.runs, "seed": plan.seed, "filter": plan.filter, "results": results})
+
+    def write(rows: list) -> None:
+        header, body = library.table(rows)
+        lines = (",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body])
+        write_text(out / "table.csv", "".join(lines))
+        results = [{"point": row.point, "figures": row.figures, "diverged": row.diverged} for row in rows]
+        own = {"runs": plan.runs, "seed": plan.seed, "filter": plan.filter}
+        write_json(out / "sweep.json", own | {"results": results})
+
+    rows: list = []
+    try:
+        with workers(cluster) as threads, timed_bars() as progress:
+            for row in library.rows_of(plan, out, threads or worker_count(jobs), progress):
+                rows.append(row)
+    except BaseException as error:
+        if rows:
+            write(rows)
+            error.add_note(f"the {len(rows)} of {len(plan.points)} points that were finished are in {out}")
+        raise
+    write(rows)
     library.figure(rows).savefig(out / "sweep.png", dpi=150)
     shown = Table(*rows[0].point, *rows[0].figures, "diverged", box=None)
     for row in rows:

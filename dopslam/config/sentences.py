@@ -38,7 +38,7 @@ def _tags(model: type[BaseModel]) -> tuple:
     return getattr(kind.annotation, "__args__", ()) if kind is not None else ()
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """A value as it may stand in one line."""
     text = repr(value)
     return text if len(text) <= 100 else f"{text[:80]}… ({len(text)} characters)"
@@ -53,8 +53,8 @@ def sentence(error: ValidationError, root: type[BaseModel]) -> str:
     if first["type"] == "extra_forbidden":
         near = difflib.get_close_matches(names[-1], allowed, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(allowed)}"
-        return f"unknown key {_shown(key)}; {hint}{more}"
+        return f"unknown key {shown(key)}; {hint}{more}"
     if first["type"] == "missing":
         return f"key {key!r} is missing{more}"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{key} = {_shown(first['input'])}: {message}{more}" if key else f"{message}{more}"
+    return f"{key} = {shown(first['input'])}: {message}{more}" if key else f"{message}{more}"

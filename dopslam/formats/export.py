@@ -5,12 +5,12 @@ Every function takes a dataset file or a folder made by ``dopslam dataset`` and 
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import hashlib
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -50,9 +50,11 @@ def export(source: str | Path, out: str | Path, kind: str, drive: int | None = N
     if drive is not None and kind != "drives":
         raise DatasetError(f"--drive {drive}: goes with --to drives only")
     parts = parts_of(source)
-    place = out.with_name(f".{out.name}.{os.getpid()}.part")
+    place = None
     try:
-        place.mkdir(parents=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        place = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))  # nobody else's
+        place.chmod(0o755)
         if drive is None:
             KINDS[kind](parts, place)
         else:
@@ -61,7 +63,7 @@ def export(source: str | Path, out: str | Path, kind: str, drive: int | None = N
     except OSError as error:
         raise DatasetError(f"{out}: cannot be written ({error.strerror or error})") from error
     finally:
-        with contextlib.suppress(OSError):
+        if place is not None:
             shutil.rmtree(place, ignore_errors=True)
     return sorted(out.iterdir())
 

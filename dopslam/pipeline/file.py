@@ -22,6 +22,7 @@ from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, 
 from dopslam.report import figures, folder, page, replay, tables
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
+from dopslam.store.place import refuse_unwritable
 
 
 def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
@@ -57,11 +58,13 @@ def _check_new(path: Path) -> None:
         raise DatasetError(f"{path}: exists already; remove it or name another file with --out")
     if not Path(path).resolve().parent.is_dir():
         raise DatasetError(f"{path}: the folder {str(Path(path).parent)!r} does not exist; create it first")
+    refuse_unwritable(path)
 
 
 def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
     """Add the received signal of every step."""
     scenario, seed = scenario_of(path, settings)
+    refuse_unwritable(path)
     track, paths = _read(path, track=Track, paths=Paths)
     dataset.write_signal(path, pipeline.synthesize(scenario, track, paths, seed, progress), paths.steps)
 
@@ -69,6 +72,7 @@ def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
 def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet) -> None:
     """Add the detections of every snapshot, from the stored signal or, without one, from the signal of the paths."""
     scenario, seed = scenario_of(path, settings)
+    refuse_unwritable(path)
     stored = dataset.signal_steps(path)
     if stored:
         time = dataset.read_record(path, "track", Track).time if "track" in dataset.groups(path) else None
@@ -150,6 +154,7 @@ def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detec
 def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool = True) -> str:
     """Add the history of one filter variant; returns its name (:func:`why_lost` says whether it can be trusted)."""
     scenario, seed = scenario_of(path, settings)
+    refuse_unwritable(path)
     detections = blurred(scenario, read_detections(path), seed)
     filter_name = filter_name or scenario.filter.density
     doppler = doppler and pipeline.uses_doppler(scenario, filter_name)
@@ -177,6 +182,7 @@ def why_lost(path: Path, variant: str) -> str:
 def bound(path: Path, settings=(), doppler: bool = True) -> None:
     """Add the posterior Cramér–Rao bound of this run: its track, its detections and their R, the true association."""
     scenario, seed = scenario_of(path, settings)
+    refuse_unwritable(path)
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
     _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})

@@ -20,7 +20,9 @@ All combinations use the same seeds, so that differences are paired. Intervals a
 from __future__ import annotations
 
 import itertools
+import math
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,7 @@ import tomli_w
 from matplotlib.figure import Figure
 
 from dopslam.config.scenario import Scenario, load
+from dopslam.config.sentences import shown
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
 from dopslam.pipeline.file import split_variant
@@ -39,6 +42,7 @@ from dopslam.studies import montecarlo
 from dopslam.studies import summary as studies
 from dopslam.studies import traced as traced_study
 
+LARGEST_SWEEP = 10_000
 KEYS = {"scenario": str, "source": str, "filter": str, "runs": int, "seed": int, "set": list, "vary": dict}
 LABELS = {
     "position_ratio": "position RMSE / bound", "heading_ratio": "heading RMSE / bound", "clock_ratio": "clock RMSE / bound",
@@ -122,20 +126,36 @@ def read_sweep(path: str | Path) -> Sweep:
                 raise ConfigError(
                     f"{path}: vary.{key!r} = {value!r}, but what runs is {own} = {runs!r}; write one sweep for each {own}"
                 )
+    count = math.prod(len(values) for values in sweep.vary.values())
+    if count > LARGEST_SWEEP or sweep.runs > LARGEST_SWEEP:
+        raise ConfigError(
+            f"{path}: [vary] asks for {count} points of {sweep.runs} runs; at most {LARGEST_SWEEP} of each are possible"
+        )
     for point in sweep.points:
-        sweep.at(point)
+        try:
+            sweep.at(point)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: at {_said(point)}: {error}") from error
     return sweep
+
+
+def _said(point: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {shown(value)}" for key, value in point.items())
 
 
 def run_sweep(sweep: Sweep, folder: Path, jobs: int = 1, progress: Progress = quiet) -> list[Row]:
     """Run every combination; the numbers do not depend on ``jobs``. ``folder`` keeps the datasets of traced sweeps."""
-    rows = []
-    for number, point in enumerate(sweep.points):
-        progress("sweep", number, len(sweep.points))
+    return list(rows_of(sweep, folder, jobs, progress))
+
+
+def rows_of(sweep: Sweep, folder: Path, jobs: int = 1, progress: Progress = quiet) -> Iterator[Row]:
+    """The rows of :func:`run_sweep` one by one, each as soon as it is finished."""
+    points = sweep.points
+    for number, point in enumerate(points):
+        progress("sweep", number, len(points))
         one = _model if sweep.source == "model" else _traced
-        rows.append(one(sweep, point, Path(folder) / f"point-{number:03d}", jobs))
-    progress("sweep", len(rows), len(rows))
-    return rows
+        yield one(sweep, point, Path(folder) / f"point-{number:03d}", jobs)
+    progress("sweep", len(points), len(points))
 
 
 def _model(sweep: Sweep, point: dict[str, Any], folder: Path, jobs: int) -> Row:
