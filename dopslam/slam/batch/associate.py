@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from dopslam.models.measurement import BS, incidence, positions, wrap
-from dopslam.slam.batch.landmarks import Belief, densities
-from dopslam.slam.batch.rows import VA, Map, Rows, linearize, predict
+from dopslam.models.measurement import positions, wrap
+from dopslam.slam.batch.landmarks import Belief, explain
+from dopslam.slam.batch.rows import Map, Rows, predict
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -54,16 +54,9 @@ def associate(data: Rows, belief: Belief, found: Map) -> Index:
     rows, owner = pairs(data, belief, found)
     if not len(rows):
         return result
-    step, kind = data.step[rows], found.kind[owner]
-    linear = linearize(data, rows, belief.state[step], kind, found.position[owner])
-    spread = linear.spread(belief.covariance[step], found.covariance[owner])
-    density = densities(data, rows, kind, linear, spread, belief.noise)[0]
-    gain = density - data.false(rows)
-    ue, bs = positions(belief.state[step], data.height), data.stations[found.station[owner]]
-    anchor = np.where((kind == VA)[:, None], found.position[owner], bs + 1.0)
-    _, t, _ = incidence(ue, anchor, bs)
-    good = (gain > 0) & ((kind != VA) | ((t > 0) & (t < 1)))
-    order = np.flatnonzero(good)
+    density = explain(data, belief, rows, owner, found.kind, found.position, found.covariance)[0]
+    gain, step = density - data.false[rows], data.step[rows]
+    order = np.flatnonzero(gain > 0)
     order = order[np.argsort(step[order], kind="stable")]
     for part in np.split(order, np.flatnonzero(np.diff(step[order])) + 1):
         if not len(part):
@@ -79,6 +72,3 @@ def associate(data: Rows, belief: Belief, found: Map) -> Index:
             if cost[a, b] < 0:
                 result[left[a]] = right[b]
     return result
-
-
-__all__ = ["BS", "associate", "pairs"]

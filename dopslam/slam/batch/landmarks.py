@@ -15,9 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+from dopslam.slam.batch.kernels import explain_rows
 from dopslam.slam.batch.noise import Scales
-from dopslam.slam.batch.rows import BARE, KINDS, SP, VA, Linear, Map, Rows, linearize, masked, place, whitened
+from dopslam.slam.batch.rows import BARE, KINDS, SP, VA, Map, Rows, linearize, place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -34,11 +36,19 @@ RARE = 0.1  # of those of several reflections
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """The track as the landmarks see it: states (K, n) at the scans, covariances (K, n, n), and the noise of rows."""
+    """The track as the landmarks see it: states (K, n) at the scans, covariances (K, n, n), the noise of rows, and the
+    length [m] of the longest path."""
 
     state: Array
     covariance: Array
     noise: Scales
+    reach: float
+
+
+def believe(data: Rows, state: Array, covariance: Array, noise: Scales) -> Belief:
+    """The track as the landmarks see it."""
+    longest = float(np.max(data.z[:, 0] - state[data.step, 3], initial=1.0))
+    return Belief(np.ascontiguousarray(state), np.ascontiguousarray(covariance), noise, longest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,56 +70,45 @@ class Fit:
 
 def holds(data: Rows) -> Array:
     """(3,) information on every landmark's place that keeps it finite; the height is held where it cannot be seen."""
-    flat = not data.used[:, [2, 4]].any()
-    return np.array([LOOSE, LOOSE, STIFF if flat else LOOSE])
+    return np.array([LOOSE, LOOSE, STIFF if data.flat else LOOSE])
 
 
 def log_density(data: Rows, belief: Belief, kind: Index) -> Array:
     """log λ of landmarks per m³ (or m², the height being held): some, anywhere within the longest path."""
-    reach = float(np.max(data.z[:, 0] - belief.state[data.step, 3], initial=1.0))
     expected = np.where(kind == BARE, RARE, EXPECTED)
-    flat = not data.used[:, [2, 4]].any()
-    height = np.sqrt(2 * np.pi / STIFF) if flat else 2 * reach
-    return np.log(expected / ((2 * reach) ** 2 * height))
+    height = np.sqrt(2 * np.pi / STIFF) if data.flat else 2 * belief.reach
+    return np.log(expected / ((2 * belief.reach) ** 2 * height))
 
 
-def densities(data: Rows, rows: Index, kind: Index, linear: Linear, spread: Array, noise: Scales):
-    """log p(z) (M,) of detections, weights, and whitened residuals and Jacobians, for covariance R + spread."""
-    covariance = masked(data.covariance[rows] + spread, linear.used)
-    error, by_point, logs = whitened(covariance, linear.error, linear.by_point)
-    count = linear.used.sum(axis=1)
-    square = np.sum(error**2, axis=1)
-    mixture, weight = noise.weigh(square, count)
-    lost = data.used[rows] & ~linear.used  # departures that are not explained are anywhere
-    density = mixture - 0.5 * logs - 0.5 * count * np.log(2 * np.pi) + data.uniform(rows, lost)
-    return density, weight, error, by_point, square
+def explain(data: Rows, belief: Belief, rows: Index, group: Index, kind: Index, position: Array, covariance: Array):
+    """How landmarks (G,) of kinds, positions and covariances explain detections `rows` (M,) of groups (M,).
+
+    Returns log p(z) (M,), −inf where the path cannot exist, squared Mahalanobis lengths and weights (M,), and the normal
+    equations (G, 3, 3), (G, 3) of the landmarks' places.
+    """
+    return explain_rows(
+        rows, group, data.z, data.covariance, data.used, data.spans, data.step, belief.state, belief.covariance,
+        data.station, data.stations, data.height, data.speed, kind, np.ascontiguousarray(position),
+        np.ascontiguousarray(covariance), belief.noise.scale, belief.noise.share,
+    )  # fmt: skip
 
 
 def fit(data: Rows, belief: Belief, rows: Index, group: Index, kind: Index, start: Array, rounds: int = 6) -> Fit:
     """Fit landmarks (G,) of kinds (G,) from `start` (G, 3) to detections `rows` (M,) of groups (M,)."""
     count, hold = len(kind), np.diag(holds(data))
-    position = np.array(start, float)
-    step = data.step[rows]
-    state, covariance = belief.state[step], belief.covariance[step]
-    longest = 0.3 * np.maximum(np.linalg.norm(position[group, :2] - state[:, :2], axis=1), 1.0)
+    position, nothing = np.array(start, float), np.zeros((count, 3, 3))
     reach = np.zeros(count)
-    np.maximum.at(reach, group, longest)
+    far = np.linalg.norm(position[group, :2] - belief.state[data.step[rows], :2], axis=1)
+    np.maximum.at(reach, group, 0.3 * np.maximum(far, 1.0))
     for i in range(rounds + 1):
-        linear = linearize(data, rows, state, kind[group], position[group])
-        density, weight, error, by_point, square = densities(
-            data, rows, kind[group], linear, linear.spread(covariance), belief.noise
-        )
-        scaled = by_point * weight[:, None, None]
-        information, vector = np.tile(hold, (count, 1, 1)), np.zeros((count, 3))
-        np.add.at(information, group, np.swapaxes(scaled, 1, 2) @ by_point)
-        np.add.at(vector, group, np.einsum("mij,mi->mj", scaled, error))
-        if i == rounds:
-            break
-        change = np.linalg.solve(information, vector[..., None])[..., 0]
-        position += change / np.maximum(1.0, np.linalg.norm(change, axis=1) / np.maximum(reach, 1e-9))[:, None]
+        density, square, weight, information, vector = explain(data, belief, rows, group, kind, position, nothing)
+        information += hold
+        if i < rounds:
+            change = np.linalg.solve(information, vector[..., None])[..., 0]
+            position += change / np.maximum(1.0, np.linalg.norm(change, axis=1) / np.maximum(reach, 1e-9))[:, None]
     inverse = np.linalg.inv(information)
     evidence = log_density(data, belief, kind) + 0.5 * np.linalg.slogdet(2 * np.pi * inverse)[1]
-    np.add.at(evidence, group, density - data.false(rows))
+    evidence += np.bincount(group, np.where(np.isneginf(density), -1e3, density) - data.false[rows], count)
     ordinary = (
         np.bincount(group, weight, count) * belief.noise.usual / np.maximum(np.bincount(group, minlength=count), 1)
     )
@@ -212,12 +211,11 @@ def _promising(data: Rows, belief: Belief, seeds: Index, free: NDArray[np.bool_]
         kinds = np.full(len(seeds), kind)
         position, possible = place(data, seeds, belief.state[data.step[seeds]], kinds)
         own = fit(data, belief, seeds, np.arange(len(seeds)), kinds, position, rounds=2)
-        good = np.flatnonzero(possible & (own.square < GATE))
+        good = np.flatnonzero(possible & (own.square < GATE * belief.noise.usual))
         which, other = _neighbors(data, seeds[good], free, window)
         if not len(which):
             continue
-        kinds = np.full(len(other), kind)
-        gain = _gain(data, belief, other, kinds, own.position[good][which], own.covariance[good][which])
+        gain = _gain(data, belief, other, good[which], kinds, own)
         # Of each step only the best detection votes.
         key = which * data.steps + data.step[other]
         order = np.lexsort((-gain, key))
@@ -229,24 +227,21 @@ def _promising(data: Rows, belief: Belief, seeds: Index, free: NDArray[np.bool_]
     return seeds[order[best[order] > 0]]
 
 
-def _gain(data: Rows, belief: Belief, rows: Index, kind: Index, position: Array, covariance: Array) -> Array:
-    """log p(z)/c(z) (M,) of detections for landmarks that are known with a covariance; −inf beyond the gate."""
-    step = data.step[rows]
-    linear = linearize(data, rows, belief.state[step], kind, position)
-    spread = linear.spread(belief.covariance[step], covariance)
-    density, _, _, _, square = densities(data, rows, kind, linear, spread, belief.noise)
-    return np.where(square < GATE, density - data.false(rows), -np.inf)
+def _gain(data: Rows, belief: Belief, rows: Index, group: Index, kind: Index, found: Fit) -> Array:
+    """log p(z)/c(z) (M,) of detections for fitted landmarks; −inf beyond the gate."""
+    density, square, *_ = explain(data, belief, rows, group, kind, found.position, found.covariance)
+    return np.where(square < GATE * belief.noise.usual, density - data.false[rows], -np.inf)
 
 
 def _grow(data: Rows, belief: Belief, free, seed: int, window: int) -> tuple[Map, Index] | None:
-    """The landmark of the kind with most evidence that a seed stands for, and its detections."""
+    """The landmark with most evidence that a seed stands for, and its detections."""
     best, evidence = None, 0.0
     one, rows = np.zeros(1, np.int64), np.array([seed])
     for kind in KINDS:
         kinds = np.array([kind])
         position, possible = place(data, rows, belief.state[data.step[rows]], kinds)
         own = fit(data, belief, rows, one, kinds, position)
-        if not possible[0] or not own.square[0] < GATE:
+        if not possible[0] or not own.square[0] < GATE * belief.noise.usual:
             continue
         grown = _gather(data, belief, free, rows, kinds, own, window)
         if grown is not None and grown[0].evidence[0] > evidence:
@@ -259,11 +254,10 @@ def _gather(data: Rows, belief: Belief, free, rows: Index, kind: Index, found: F
     """A landmark's detections gathered along the track until they stand, and its fit to them."""
     low = high = int(data.step[rows[0]])
     station = data.station[rows[0]]
-    for _ in range(10):
+    for _ in range(12):
         near = np.arange(data.offsets[max(low - window, 0)], data.offsets[min(high + window + 1, data.steps)])
         near = near[free[near] & (data.station[near] == station)]
-        tiled = np.broadcast_to(found.position, (len(near), 3)), np.broadcast_to(found.covariance, (len(near), 3, 3))
-        gain = _gain(data, belief, near, np.full(len(near), kind[0]), *tiled)
+        gain = _gain(data, belief, near, np.zeros(len(near), np.int64), kind, found)
         order = np.lexsort((-gain, data.step[near]))
         order = order[np.unique(data.step[near][order], return_index=True)[1]]
         chosen = near[order[gain[order] > 0]]
@@ -271,9 +265,10 @@ def _gather(data: Rows, belief: Belief, free, rows: Index, kind: Index, found: F
             return None
         same = np.array_equal(chosen, rows)
         rows, low, high = chosen, int(data.step[chosen].min()), int(data.step[chosen].max())
-        found = fit(data, belief, rows, np.zeros(len(rows), np.int64), kind, found.position, rounds=4)
+        found = fit(data, belief, rows, np.zeros(len(rows), np.int64), kind, found.position, rounds=3)
         if same:
             break
+        window = min(2 * window, 48)
     return (found, rows) if found.evidence[0] > 0 else None
 
 
@@ -324,10 +319,10 @@ def _related(data: Rows, belief: Belief, found: Map, owner: Index) -> Index:
     """Pairs (P, 2) of landmarks without a common step, one of which predicts arrivals of the other near enough."""
     base, count = len(data.stations), len(found)
     rows = np.flatnonzero(owner >= base)
-    seen = np.zeros((count, data.steps), bool)
-    seen[owner[rows], data.step[rows]] = True
-    apart = seen.astype(float) @ seen.T == 0
-    middle = (seen @ np.arange(data.steps)) / np.maximum(seen.sum(axis=1), 1)
+    seen = csr_array((np.ones(len(rows)), (owner[rows], data.step[rows])), shape=(count, data.steps))
+    apart = (seen @ seen.T).toarray() == 0
+    times = np.bincount(owner[rows], minlength=count)
+    middle = np.bincount(owner[rows], data.step[rows], count) / np.maximum(times, 1)
     # Every landmark against the detection of the other that is nearest to its own middle.
     nearest = np.full((count, count), -1)
     for j in range(base, count):
@@ -342,10 +337,11 @@ def _related(data: Rows, belief: Belief, found: Map, owner: Index) -> Index:
     if not len(i):
         return np.empty((0, 2), np.int64)
     row = nearest[i, j]
-    linear = linearize(data, row, belief.state[data.step[row]], np.where(found.kind[i] == VA, BARE, found.kind[i]),
-                       found.position[i])  # fmt: skip
-    spread = linear.spread(belief.covariance[data.step[row]], found.covariance[i])
-    variance = np.einsum("nii->ni", data.covariance[row] + spread)
+    law, step = np.where(found.kind[i] == VA, BARE, found.kind[i]), data.step[row]
+    linear = linearize(data, row, belief.state[step], law, found.position[i])
+    variance = np.einsum("nii->ni", data.covariance[row])
+    variance = variance + np.einsum("mia,mab,mib->mi", linear.by_state, belief.covariance[step], linear.by_state)
+    variance += np.einsum("mia,mab,mib->mi", linear.by_point, found.covariance[i], linear.by_point)
     near = (linear.error**2 / variance < RELATED**2)[:, :3].all(axis=1)
     both = np.unique(np.sort(np.column_stack([i[near], j[near]]), axis=1), axis=0)
     return both[: 4 * count]

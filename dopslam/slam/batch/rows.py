@@ -1,27 +1,29 @@
 """Detections of a run as rows of a least-squares problem: whitened residuals and Jacobians of `models.measurement`.
 
-A row that was not measured has infinite variance and leaves; so do the two rows of departure where a path's departure
-is not explained (more than one reflection: kind BARE). Steps are counted from 0 and poses from the prior's, so that
+A row that was not measured has infinite variance and leaves; so do the two rows of departure of kind BARE, a virtual
+anchor of several reflections, whose departure is not explained. Steps are counted from 0 and poses from the prior's, so that
 step k is seen from pose k + 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.models.measurement import BS, SP, VA, jacobians, measure, positions, residual, wrap
+from dopslam.models.measurement import BS, SP, VA, measure, positions, wrap
 from dopslam.models.scans import Scans
+from dopslam.slam.batch.kernels import BARE, linearize_rows
 from dopslam.slam.snapshot.rays import directions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BARE = 3  # a virtual anchor of several reflections: its departure is not explained
 KINDS = (VA, SP, BARE)
 DEPARTURE = [3, 4]
+THOUGHT_FALSE = 0.5  # false detections per scan that are thought possible, whatever is promised
 SPANS = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])  # of angles; of delay and Doppler set per run
 
 
@@ -70,7 +72,8 @@ class Rows:
     stations : (A, 3) array [m]
     height, speed : the receiver's plane [m], and its speed [m/s] where it is not in the state
     spans : (6,) array; width of what each row can take [m, rad ×4, m/s]
-    clutter : false detections per scan that are thought possible
+    false : (N,) log intensity of false detections at each of them
+    flat : whether no elevation was measured at all
     """
 
     z: Array
@@ -83,7 +86,8 @@ class Rows:
     height: float
     speed: float
     spans: Array
-    clutter: float
+    false: Array
+    flat: bool
 
     @property
     def steps(self) -> int:
@@ -96,13 +100,10 @@ class Rows:
         used[:, DEPARTURE] &= (kind != BARE)[:, None]
         return used
 
-    def uniform(self, rows: Index, used: NDArray[np.bool_]) -> Array:
-        """log of the density of rows (M, 6) that nothing explains: uniform over what each can take."""
-        return -np.where(used, np.log(self.spans), 0.0).sum(axis=1)
 
-    def false(self, rows: Index) -> Array:
-        """log intensity of false detections at each of them."""
-        return np.log(self.clutter) + self.uniform(rows, self.used[rows])
+def uniform(spans: Array, used: NDArray[np.bool_]) -> Array:
+    """log of the density of rows (M, 6) that nothing explains: uniform over what each can take."""
+    return -np.where(used, np.log(spans), 0.0).sum(axis=1)
 
 
 def rows_of(
@@ -132,7 +133,8 @@ def rows_of(
         height=height,
         speed=speed,
         spans=spans,
-        clutter=max(scans.clutter_count, 0.5),
+        false=np.log(max(scans.clutter_count, THOUGHT_FALSE)) + uniform(spans, used),
+        flat=not used[:, [2, 4]].any(),
     )
 
 
@@ -149,32 +151,19 @@ def predict(data: Rows, state: Array, kind: Index, position: Array, station: Ind
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Linear:
-    """Residuals (M, 6) and Jacobians (M, 6, n), (M, 6, 3), zero in rows that are not used, and which are used."""
+class Linear(NamedTuple):
+    """Residuals (M, 6) and Jacobians (M, 6, n), (M, 6, 3), zero in rows that are not used."""
 
     error: Array
     by_state: Array
     by_point: Array
-    used: NDArray[np.bool_]
-
-    def spread(self, state: Array, point: Array | None = None) -> Array:
-        """A P Aᵀ + B P_x Bᵀ (M, 6, 6) of covariances (M, n, n) and (M, 3, 3)."""
-        total = self.by_state @ state @ np.swapaxes(self.by_state, 1, 2)
-        return total if point is None else total + self.by_point @ point @ np.swapaxes(self.by_point, 1, 2)
 
 
 def linearize(data: Rows, rows: Index, state: Array, kind: Index, position: Array) -> Linear:
     """Residuals and Jacobians of detections `rows` (M,) seen from states (M, n) over landmarks (M, 3) of kinds (M,)."""
-    used, law = data.used_by(rows, kind), np.where(kind == BARE, VA, kind)
-    bs, options = data.stations[data.station[rows]], {"speed": data.speed, "height": data.height}
-    error = residual(data.z[rows], measure(state, position, law, bs, **options))
-    by_state, by_point = jacobians(state, position, law, bs, **options)
+    station = data.stations[data.station[rows]]
     return Linear(
-        np.where(used, error, 0.0),
-        np.where(used[..., None], by_state, 0.0),
-        np.where(used[..., None], by_point, 0.0),
-        used,
+        *linearize_rows(data.z[rows], data.used[rows], state, kind, position, station, data.height, data.speed)
     )
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.slam.batch.associate import associate
-from dopslam.slam.batch.landmarks import LEAST, Belief, decide_kinds, merge, vote
+from dopslam.slam.batch.landmarks import LEAST, Belief, believe, decide_kinds, merge, vote
 from dopslam.slam.batch.noise import GIVEN, GRID, Scales
-from dopslam.slam.batch.rows import Map, Rows
+from dopslam.slam.batch.rows import Map, Rows, uniform
 from dopslam.slam.batch.track import Chain, Estimate, optimize
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def smooth(
     owner, done, settled = np.full(len(data.z), -2), 0, False
     while done < choices.rounds and not settled:
         done += 1
-        belief = Belief(state[1:], covariance[1:], noise)
+        belief = believe(data, state[1:], covariance[1:], noise)
         before = owner
         found, owner, evidence = _associated(data, belief, found)
         estimate = optimize(data, chain, noise, owner, state, found)
@@ -127,5 +127,5 @@ def _score(data: Rows, estimate: Estimate, owner: Index) -> float:
     used = data.used_by(rows, estimate.found.kind[owner[rows]])
     variance = np.linalg.slogdet(np.where(used[:, :, None] & used[:, None, :], data.covariance[rows], np.eye(6)))[1]
     told = -0.5 * variance - 0.5 * used.sum(axis=1) * np.log(2 * np.pi)
-    told = told + data.uniform(rows, data.used[rows] & ~used) - data.false(rows)
+    told = told + uniform(data.spans, data.used[rows] & ~used) - data.false[rows]
     return float(told.sum() - estimate.cost - 0.5 * estimate.log_determinant)

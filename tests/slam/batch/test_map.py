@@ -5,7 +5,7 @@ import pytest
 
 from dopslam.models.measurement import BS, SP, VA
 from dopslam.slam.batch.associate import associate
-from dopslam.slam.batch.landmarks import Belief, decide_kinds, fit, merge, vote
+from dopslam.slam.batch.landmarks import believe, decide_kinds, fit, merge, vote
 from dopslam.slam.batch.noise import GIVEN
 from dopslam.slam.batch.rows import BARE, Map, place, predict
 from dopslam.slam.batch.smoother import Choices, only_stations, smooth
@@ -14,7 +14,7 @@ from .conftest import case
 
 
 def belief_at_truth(drive):
-    return Belief(drive.truth, 1e-6 * np.tile(np.eye(4), (len(drive.truth), 1, 1)), GIVEN)
+    return believe(drive.data, drive.truth, 1e-6 * np.tile(np.eye(4), (len(drive.truth), 1, 1)), GIVEN)
 
 
 def test_places_invert_the_measurement(drive):
