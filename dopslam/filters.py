@@ -16,6 +16,7 @@ _OWN = {
     "smoother": "dopslam.slam.pmb.filters:Smoother",
     "mixture": "dopslam.slam.pmb.filters:Mixture",
     "bp": "dopslam.slam.belief.filter:Belief",
+    "batch": "dopslam.slam.batch.filter:Batch",
 }
 FILTERS = Table("filter", "dopslam.filters", _OWN, ConfigError)
 """The only place where the names of filters are spelled."""

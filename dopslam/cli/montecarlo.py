@@ -40,7 +40,7 @@ def montecarlo(
     runs
         Number of independent runs.
     filters
-        One or several, repeated or with commas: joint (default), marginal, smoother, mixture, bp, or module:Class.
+        One or several, repeated or with commas: joint (default), marginal, smoother, mixture, bp, batch, or module:Class.
     particles
         Of belief propagation; default the scenario's filter.particles.
     doppler_std

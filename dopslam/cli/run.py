@@ -49,7 +49,7 @@ def run(
     source
         traced: estimated from the signal of a traced scene. model: drawn from the measurement model, as in paper A.
     filters
-        One or several, repeated or with commas, the first leads the summary: joint, marginal, smoother, mixture, bp,
+        One or several, repeated or with commas, the first leads the summary: joint, marginal, smoother, mixture, bp, batch,
         or module:Class of your own. Default joint, marginal and the scenario's filter.density.
     doppler_std
         none: only filters without Doppler. A number sets the standard deviation [m/s] where the source is the model.

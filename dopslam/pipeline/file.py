@@ -141,8 +141,8 @@ def _group(kind: str, variant: str) -> str:
     return f"{kind}_{name}" + ("" if doppler else _ENDING)
 
 
-def _bound_group(doppler: bool) -> str:
-    return "bound_doppler" if doppler else "bound_no_doppler"
+def _bound_group(doppler: bool, smoothed: bool = False) -> str:
+    return ("bound_doppler" if doppler else "bound_no_doppler") + ("_smoothed" if smoothed else "")
 
 
 def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
@@ -180,14 +180,18 @@ def why_lost(path: Path, variant: str) -> str:
 
 
 def bound(path: Path, settings=(), doppler: bool = True) -> None:
-    """Add the posterior Cramér–Rao bound of this run: its track, its detections and their R, the true association."""
+    """Add the posterior Cramér–Rao bounds of this run: its track, its detections and their R, the true association.
+
+    Two of them: of what a step can know from the detections up to it, and from those of the whole run.
+    """
     scenario, seed = scenario_of(path, settings)
     refuse_unwritable(path)
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
     _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
-    bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
-    dataset.write_record(path, _bound_group(doppler), bounds)
+    for smoothed in (False, True):
+        bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
+        dataset.write_record(path, _bound_group(doppler, smoothed), bounds)
 
 
 def bound_name(doppler: bool) -> str:
@@ -210,7 +214,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     evaluations = {}
     for name, history in found.items():
         filter_name, doppler = split_variant(name)
-        group = _bound_group(doppler)
+        group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
         if group not in have:
             if failed is not None and bound_name(doppler) in failed:
                 continue
@@ -233,7 +237,8 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     matches = None if paths is None else matching.match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)
     variants = {
-        name: summarize(e, landmarks, radius)
+        name: {"bound": "smoothing" if pipeline.whole_run(scenario, split_variant(name)[0]) else "filtering"}
+        | summarize(e, landmarks, radius)
         | mapping.fate(landmarks, found[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }

@@ -316,6 +316,11 @@ def uses_doppler(scenario: Scenario, name: str) -> bool:
     return build.chosen_filter(scenario, name).capabilities.doppler
 
 
+def whole_run(scenario: Scenario, name: str) -> bool:
+    """Whether a filter's estimates use the scans of the whole run, so that the smoothing bound is its own."""
+    return build.chosen_filter(scenario, name).capabilities.whole_run
+
+
 def largest_order(name: str, landmarks: Landmarks) -> int:
     """Reflections of a virtual anchor that the map of this filter may hold; second reflections are a kind of their own."""
     limit = FILTERS[name].largest_order
@@ -349,8 +354,11 @@ def bound(
     paths: Paths | None,
     detections: DetectionSeries,
     doppler: bool = True,
+    smoothed: bool = False,
 ) -> Bound:
     """PCRB (17) at the true track with the R and the detections of this run and the true association.
+
+    With ``smoothed`` every step is bounded by the detections of the whole run instead of those up to it.
 
     Paths of two reflections tell what they tell the filters, everything but their departure, unless ``[filter]`` has no
     such type; those of more carry no information here.
@@ -376,4 +384,5 @@ def bound(
         np.array(scenario.base_station.position),
         height=scenario.receiver.height,
         doppler=doppler,
+        smoothed=smoothed,
     )

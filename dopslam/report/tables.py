@@ -29,6 +29,9 @@ def run_table(summary: dict) -> Table:
         f"GOSPA, and landmarks found within {summary['found_within_m']:g} m, at the last step.\n"
         "VA: virtual anchor, SP: scatter point."
     )
+    whole = [name for name, figures in variants.items() if figures.get("bound") == "smoothing"]
+    if whole:
+        table.caption += f"\nThe bound of {', '.join(whole)} is that of the whole run (smoothing)."
     table.caption_justify = "left"
     return table
 

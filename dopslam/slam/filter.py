@@ -114,11 +114,14 @@ class Capabilities:
     doppler : whether it reads the Doppler row
     states : numbers of receiver states that it can carry: 4, and 6 with speed and turn rate unknown
     stations : most base stations
+    whole_run : whether every step's estimate uses the scans of the whole run, so that the smoothing bound is its own;
+        such a filter finds its start from the scans by itself where the problem withholds it
     """
 
     doppler: bool = True
     states: tuple[int, ...] = (4,)
     stations: int = 1
+    whole_run: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +180,7 @@ def run(
     """
     scans = detections if isinstance(detections, Scans) else problem.scans(detections)
     check(chosen, problem, scans)
-    if problem.snapshot:
+    if problem.snapshot and not chosen.capabilities.whole_run:
         found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=uses_doppler(chosen))
         problem = replace(problem, mean=found.mean, covariance=found.covariance)
     rng = np.random.default_rng(np.random.SeedSequence(seed))

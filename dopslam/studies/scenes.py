@@ -97,7 +97,8 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     assert paths is not None
     doppler = FILTERS[density].capabilities.doppler
     history = pipeline.slam(scenario, detections, density, doppler, seed)
-    bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler)
+    smoothed = pipeline.whole_run(scenario, density)
+    bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
     order = pipeline.largest_order(density, landmarks)
     evaluation = evaluate_run(scenario, track, landmarks, history, bound, order)
     matches = matching.match_series(scenario, track, paths, detections)

@@ -53,13 +53,17 @@ def evaluations(path: Path, noise: str, filters=COMPARED) -> tuple[dict[str, Eva
     scenario, seed = stages.scenario_of(path, settings)
     track, landmarks, paths, _ = stages.read_truth(path)
     detections = stages.blurred(scenario, stages.read_detections(path), seed)
-    bounds = {d: pipeline.bound(scenario, track, landmarks, paths, detections, d) for d in (True, False)}
-    found = {}
+    found, bounds = {}, {}
     for filter_name, doppler in stages.variants_of(scenario, filters):
         name = stages.variant_name(filter_name, doppler)
         history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
-        order = pipeline.largest_order(filter_name, landmarks)
-        found[name] = evaluate_run(scenario, track, landmarks, history, bounds[doppler], order)
+        order, kind = (
+            pipeline.largest_order(filter_name, landmarks),
+            (doppler, pipeline.whole_run(scenario, filter_name)),
+        )
+        if kind not in bounds:
+            bounds[kind] = pipeline.bound(scenario, track, landmarks, paths, detections, *kind)
+        found[name] = evaluate_run(scenario, track, landmarks, history, bounds[kind], order)
     radius = scenario.evaluation.found_radius
     return found, {name: summarize(e, landmarks, radius) for name, e in found.items()}
 

@@ -1,0 +1,175 @@
+"""The whole-run smoother as an entry of the table of filters: its starts, and its result as a history.
+
+It starts from the joint filter, or from the snapshots where nothing is told of the start, the filter fails, or leaves too
+much of the detections unexplained; of two results the one with more evidence counts. Every step's estimate uses the
+scans of the whole run: it is to be compared with the smoothing bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dopslam.errors import FilterError
+from dopslam.models.scans import Scans
+from dopslam.records import edges_of
+from dopslam.slam.batch.rows import BARE, BS, Map, Rows, rows_of
+from dopslam.slam.batch.smoother import Choices, Smoothed, smooth
+from dopslam.slam.batch.track import KNOWN, Chain
+from dopslam.slam.filter import Capabilities, Info, Problem
+from dopslam.slam.history import TYPES, Diagnostics, Estimate, History
+from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
+from dopslam.slam.pmb.filters import Joint
+from dopslam.slam.snapshot import start as snapshot
+
+Array = NDArray[np.float64]
+
+POSE = 4  # entries of a state that a snapshot tells
+ENOUGH = 0.8  # share of the detections that a good start explains
+REPORTED = 0.5  # existence from which a filter's landmark is tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Batch:
+    """Robust least squares over all detections of a run, their association re-estimated in rounds.
+
+    ``step`` smooths all scans so far anew; ``run`` is the intended way.
+
+    Attributes
+    ----------
+    doppler : use the Doppler row
+    noise : ``"given"`` takes the detections' covariances as they are, up to rare outliers; ``"scaled"`` learns from the
+        residuals how far they are wrong
+    rounds : most rounds of association
+    """
+
+    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6), whole_run=True)
+    largest_order: ClassVar[int | None] = 1
+
+    doppler: bool = True
+    noise: Literal["given", "scaled"] = "given"
+    rounds: int = 12
+
+    def init(self, problem: Problem, rng: np.random.Generator) -> Any:
+        """No scans yet."""
+        return problem, None
+
+    def step(self, state: Any, scan: Scans, rng: np.random.Generator) -> tuple[Any, Info]:
+        """All scans so far, smoothed; what is told is the newest state."""
+        problem, before = state
+        scans = scan if before is None else Scans.join([before, scan])
+        history, _ = self.run(problem, scans, rng)
+        rows = history.rows(history.steps - 1)
+        estimate = Estimate(
+            history.mean[-1], history.covariance[-1], history.position[rows], history.position_covariance[rows],
+            history.existence[rows], history.type_probability[rows], history.track[rows],
+        )  # fmt: skip
+        return (problem, scans), Info(estimate)
+
+    def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
+        """Smooth a whole run.
+
+        Raises
+        ------
+        FilterError
+            If neither the filter nor the snapshots give a start.
+        """
+        motion = problem.motion
+        data = rows_of(scans, problem.stations.position, problem.height, motion.speed, doppler=self.doppler)
+        information = np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension))
+        if problem.snapshot:
+            information[:POSE], information[:, :POSE] = 0.0, 0.0
+        choices, result, failure = Choices(self.noise, self.rounds), None, None
+        if not problem.snapshot:
+            chain = Chain(motion, np.asarray(problem.mean, float), information)
+            try:
+                state, covariance, found = _filtered(problem, scans, rng, self.doppler)
+                result = smooth(data, chain, state, covariance, choices, found)
+            except FilterError as error:
+                failure = error
+        if result is None or np.mean(result.owner >= 0) < ENOUGH:
+            try:
+                state, covariance = _located(problem, scans, self.doppler)
+                mean = state[0] if problem.snapshot else problem.mean
+                other = smooth(data, Chain(motion, np.asarray(mean, float), information), state, covariance, choices)
+                result = other if result is None or other.score > result.score else result
+            except FilterError as error:
+                if result is None:
+                    raise failure or error from error
+        return _history(data, result), _diagnostics(data, result)
+
+
+def _filtered(problem: Problem, scans: Scans, rng: np.random.Generator, doppler: bool) -> tuple[Array, Array, Map]:
+    """Track (K + 1, n), covariances and landmarks that the joint filter leaves."""
+    history, _ = Joint(doppler=doppler).run(problem, scans, rng)
+    last = {int(history.track[row]): row for row in np.flatnonzero(history.existence > REPORTED)}
+    rows = np.array(sorted(last.values()), dtype=np.int64)
+    station = np.zeros(len(rows), dtype=np.int64)
+    found = Map(history.kind[rows], history.position[rows], station, history.position_covariance[rows])
+    state = np.vstack([problem.mean, history.mean])
+    return state, np.concatenate([np.asarray(problem.covariance)[None], history.covariance]), found
+
+
+def _located(problem: Problem, scans: Scans, doppler: bool) -> tuple[Array, Array]:
+    """Track (K + 1, n) and covariances from the snapshots alone; speed and turn rate as told."""
+    found = snapshot.start(
+        scans, problem.motion, problem.anchor, problem.height, prior=(problem.mean, problem.covariance), doppler=doppler
+    )
+    n, steps = problem.motion.dimension, scans.steps
+    state = np.tile(np.asarray(problem.mean, float), (steps + 1, 1))
+    covariance = np.tile(np.asarray(problem.covariance, float), (steps + 1, 1, 1))
+    covariance[:, :POSE, POSE:], covariance[:, POSE:, :POSE] = 0.0, 0.0
+    state[0, :POSE], state[1:, :POSE] = found.mean[:POSE], found.chain.mean
+    covariance[0, :POSE, :POSE], covariance[1:, :POSE, :POSE] = found.covariance[:POSE, :POSE], found.chain.covariance
+    return state, covariance + KNOWN * np.eye(n)
+
+
+def _history(data: Rows, result: Smoothed) -> History:
+    """Smoothed states, and the map, which stands still, at every step; what has several reflections is not reported."""
+    found, steps = result.estimate.found, data.steps
+    shown = np.flatnonzero((found.kind != BARE) & (found.kind != BS))
+    born = _first_rows(result, len(found))[shown]
+    kind = found.kind[shown]
+    existence = 1 / (1 + np.exp(-np.minimum(result.evidence[shown], 50.0)))
+    return History(
+        mean=result.estimate.state[1:],
+        covariance=result.estimate.covariance[1:],
+        map_offsets=edges_of(np.full(steps, len(shown))).astype(np.int64),
+        position=np.tile(found.position[shown], (steps, 1)),
+        position_covariance=np.tile(found.covariance[shown], (steps, 1, 1)),
+        existence=np.tile(existence, steps),
+        type_probability=np.tile(np.eye(TYPES)[kind], (steps, 1)),
+        kind=np.tile(kind, steps).astype(np.int64),
+        track=np.tile(born, steps).astype(np.int64),
+    )
+
+
+def _first_rows(result: Smoothed, count: int) -> NDArray[np.int64]:
+    """The first detection of every landmark, by which it is numbered."""
+    rows = np.flatnonzero(result.owner >= 0)
+    first = np.zeros(count, dtype=np.int64)
+    first[result.owner[rows[::-1]]] = rows[::-1]
+    return first
+
+
+def _diagnostics(data: Rows, result: Smoothed) -> Diagnostics:
+    """Residuals per step, over the rows that the fit leaves free, and the association."""
+    estimate, owner = result.estimate, result.owner
+    rows = np.flatnonzero(owner >= 0)
+    used = data.used_by(rows, estimate.found.kind[owner[rows]]).sum(axis=1)
+    taken = estimate.state.shape[1] * data.steps + 3 * (len(estimate.found) - len(data.stations))
+    free = max(used.sum() - taken, 0) / max(used.sum(), 1)
+    step = data.step[rows]
+    first = _first_rows(result, len(estimate.found))
+    named = np.where(owner < 0, NO_TRACK, np.where(owner < len(data.stations), BS_TRACK, first[owner]))
+    parts = [slice(int(a), int(b)) for a, b in zip(data.offsets[:-1], data.offsets[1:], strict=True)]
+    return Diagnostics(
+        nis=np.bincount(step, estimate.square[rows], data.steps),
+        nis_rows=np.round(np.bincount(step, used * free, data.steps)).astype(np.int64),
+        weights=tuple(np.ones(1) for _ in parts),
+        associations=tuple(named[s][None] for s in parts),
+        existence=tuple(np.ones(s.stop - s.start) for s in parts),
+    )
