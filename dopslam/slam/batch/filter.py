@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
+from dopslam.models.measurement import BS
 from dopslam.models.scans import Scans
 from dopslam.records import edges_of
-from dopslam.slam.batch.rows import BARE, BS, Map, Rows, rows_of
+from dopslam.slam.batch.rows import Map, Rows, rows_of
 from dopslam.slam.batch.smoother import Choices, Smoothed, smooth
 from dopslam.slam.batch.track import KNOWN, Chain
 from dopslam.slam.filter import Capabilities, Info, Problem
@@ -128,9 +129,9 @@ def _located(problem: Problem, scans: Scans, doppler: bool) -> tuple[Array, Arra
 
 
 def _history(data: Rows, result: Smoothed) -> History:
-    """Smoothed states, and the map, which stands still, at every step; what has several reflections is not reported."""
+    """Smoothed states, and the map, which stands still, at every step."""
     found, steps = result.estimate.found, data.steps
-    shown = np.flatnonzero((found.kind != BARE) & (found.kind != BS))
+    shown = np.flatnonzero(found.kind != BS)
     born = _first_rows(result, len(found))[shown]
     kind = found.kind[shown]
     existence = 1 / (1 + np.exp(-np.minimum(result.evidence[shown], 50.0)))

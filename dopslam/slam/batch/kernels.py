@@ -10,25 +10,24 @@ import math
 import numpy as np
 
 from dopslam.compiled import compiled
-from dopslam.models.kernels import cholesky, linearize, solve_lower, subtract
+from dopslam.models.kernels import SR, cholesky, linearize, solve_lower, subtract
 
-VA, BARE = 1, 3
 ROWS = 6
 
 
 @compiled
 def one_row(z, used, state, kind, position, site, error, by_state, by_point, predicted):
     """Residual and Jacobians of one detection, zero in the rows that say nothing; whether the path can exist."""
-    valid = linearize(state, position, VA if kind == BARE else kind, site, predicted, by_state, by_point)
+    valid = linearize(state, position, kind, site, predicted, by_state, by_point)
     subtract(z, predicted, by_point, by_state, error)
     for i in range(ROWS):
-        if not used[i] or (kind == BARE and (i == 3 or i == 4)):
+        if not used[i] or (kind == SR and (i == 3 or i == 4)):
             error[i] = 0.0
             for j in range(by_state.shape[1]):
                 by_state[i, j] = 0.0
             for j in range(3):
                 by_point[i, j] = 0.0
-    return valid or kind == BARE
+    return valid
 
 
 @compiled
@@ -79,14 +78,14 @@ def explain_rows(
         valid = one_row(z[r], used[r], state[s], kind[g], position[g], site, error, by_state, by_point, predicted)
         lost, size = 0.0, 0
         for i in range(ROWS):
-            hidden = kind[g] == BARE and (i == 3 or i == 4)
+            hidden = kind[g] == SR and (i == 3 or i == 4)
             if hidden and used[r, i]:
                 lost += math.log(span[i])
             if used[r, i] and not hidden:
                 size += 1
                 for j in range(i + 1):
                     value = 0.0
-                    if used[r, j] and not (kind[g] == BARE and (j == 3 or j == 4)):
+                    if used[r, j] and not (kind[g] == SR and (j == 3 or j == 4)):
                         value = covariance[r, i, j]
                         for b in range(n):
                             if by_state[i, b] != 0.0:

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from dopslam.models.measurement import SP, SR, VA
 from dopslam.slam.batch.kernels import explain_rows
 from dopslam.slam.batch.noise import Scales
-from dopslam.slam.batch.rows import BARE, KINDS, SP, VA, Map, Rows, linearize, place
+from dopslam.slam.batch.rows import KINDS, Map, Rows, linearize, place
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -75,7 +76,7 @@ def holds(data: Rows) -> Array:
 
 def log_density(data: Rows, belief: Belief, kind: Index) -> Array:
     """log λ of landmarks per m³ (or m², the height being held): some, anywhere within the longest path."""
-    expected = np.where(kind == BARE, RARE, EXPECTED)
+    expected = np.where(kind == SR, RARE, EXPECTED)
     height = np.sqrt(2 * np.pi / STIFF) if data.flat else 2 * belief.reach
     return np.log(expected / ((2 * belief.reach) ** 2 * height))
 
@@ -136,7 +137,7 @@ def decide_kinds(data: Rows, belief: Belief, found: Map, owner: Index, hold_on: 
         kinds = np.full(count, candidate)
         start, _ = place(data, best, belief.state[data.step[best]], kinds)
         own = found.kind[base:] == candidate
-        near = {VA: found.kind[base:] == BARE, BARE: found.kind[base:] == VA}.get(candidate, own) | own
+        near = {VA: found.kind[base:] == SR, SR: found.kind[base:] == VA}.get(candidate, own) | own
         start[near] = found.position[base:][near]
         trials.append(fit(data, belief, rows, group, kinds, start))
     score = np.array([t.evidence for t in trials])
@@ -337,7 +338,7 @@ def _related(data: Rows, belief: Belief, found: Map, owner: Index) -> Index:
     if not len(i):
         return np.empty((0, 2), np.int64)
     row = nearest[i, j]
-    law, step = np.where(found.kind[i] == VA, BARE, found.kind[i]), data.step[row]
+    law, step = np.where(found.kind[i] == VA, SR, found.kind[i]), data.step[row]
     linear = linearize(data, row, belief.state[step], law, found.position[i])
     variance = np.einsum("nii->ni", data.covariance[row])
     variance = variance + np.einsum("mia,mab,mib->mi", linear.by_state, belief.covariance[step], linear.by_state)

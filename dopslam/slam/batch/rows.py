@@ -1,7 +1,7 @@
 """Detections of a run as rows of a least-squares problem: whitened residuals and Jacobians of `models.measurement`.
 
-A row that was not measured has infinite variance and leaves; so do the two rows of departure of kind BARE, a virtual
-anchor of several reflections, whose departure is not explained. Steps are counted from 0 and poses from the prior's, so that
+A row that was not measured has infinite variance and leaves; so do the two rows of departure of a second
+reflection. Steps are counted from 0 and poses from the prior's, so that
 step k is seen from pose k + 1.
 """
 
@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.models.measurement import BS, SP, VA, measure, positions, wrap
+from dopslam.models.measurement import SP, SR, VA, measure, positions
 from dopslam.models.scans import Scans
-from dopslam.slam.batch.kernels import BARE, linearize_rows
+from dopslam.slam.batch.kernels import linearize_rows
 from dopslam.slam.snapshot.rays import directions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-KINDS = (VA, SP, BARE)
+KINDS = (VA, SP, SR)
 DEPARTURE = [3, 4]
 THOUGHT_FALSE = 0.5  # false detections per scan that are thought possible, whatever is promised
 SPANS = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])  # of angles; of delay and Doppler set per run
@@ -33,7 +33,7 @@ class Map:
 
     Attributes
     ----------
-    kind : (J,) int array; BS, VA, SP or BARE
+    kind : (J,) int array; a number of Kind
     position : (J, 3) array [m]
     station : (J,) int array; base station whose paths go over the landmark
     covariance : (J, 3, 3) array [m²]; zero for base stations
@@ -97,7 +97,7 @@ class Rows:
     def used_by(self, rows: Index, kind: Index) -> NDArray[np.bool_]:
         """(M, 6) rows that say something about a landmark of a kind."""
         used = self.used[rows].copy()
-        used[:, DEPARTURE] &= (kind != BARE)[:, None]
+        used[:, DEPARTURE] &= (kind != SR)[:, None]
         return used
 
 
@@ -146,9 +146,7 @@ def masked(matrix: Array, used: NDArray[np.bool_]) -> Array:
 
 def predict(data: Rows, state: Array, kind: Index, position: Array, station: Index) -> Array:
     """h(s, x) (…, 6) of states (…, n) and landmarks."""
-    return measure(
-        state, position, np.where(kind == BARE, VA, kind), data.stations[station], speed=data.speed, height=data.height
-    )
+    return measure(state, position, kind, data.stations[station], speed=data.speed, height=data.height)
 
 
 class Linear(NamedTuple):
@@ -198,20 +196,3 @@ def place(data: Rows, rows: Index, state: Array, kind: Index) -> tuple[Array, ND
     found = np.where((kind == SP)[:, None], point, anchor)
     found[flat, 2] = np.where(kind[flat] == SP, data.height, bs[flat, 2])
     return found, (length > direct * (1 - 1e-6)) & (length > 0)
-
-
-__all__ = [
-    "BARE",
-    "BS",
-    "KINDS",
-    "SP",
-    "VA",
-    "Linear",
-    "Map",
-    "Rows",
-    "linearize",
-    "place",
-    "predict",
-    "rows_of",
-    "wrap",
-]

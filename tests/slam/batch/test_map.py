@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from dopslam.models.measurement import BS, SP, VA
+from dopslam.models.measurement import BS, SP, SR, VA
 from dopslam.slam.batch.associate import associate
 from dopslam.slam.batch.landmarks import believe, decide_kinds, fit, merge, vote
 from dopslam.slam.batch.noise import GIVEN
-from dopslam.slam.batch.rows import BARE, Map, place, predict
+from dopslam.slam.batch.rows import Map, place, predict
 from dopslam.slam.batch.smoother import Choices, only_stations, smooth
 
 from .conftest import case
@@ -62,7 +62,7 @@ def test_a_kind_is_decided_by_evidence_and_a_departure_may_stay_unexplained(driv
     departures = drive.data.z[rows, 3].copy()
     drive.data.z[rows, 3] += np.linspace(1, 2, len(rows))
     try:
-        assert decide_kinds(drive.data, belief, wrong, owner)[0].kind[1] == BARE
+        assert decide_kinds(drive.data, belief, wrong, owner)[0].kind[1] == SR
     finally:
         drive.data.z[rows, 3] = departures
 
