@@ -68,20 +68,22 @@ def associate(
 ) -> Match:
     """Optimal assignment of detections to true paths by squared Mahalanobis distance.
 
-    The distance uses the sum of the bound and the detection's own covariance per pair.
+    The distance uses the sum of the bound and the detection's own covariance per pair. A path that tells nothing (it
+    leaves or arrives where a pattern is zero) has no bound, and no detection is of it.
     """
     active = model.active
     truth = paths.vector
     bound = crb(model, paths, noise_variance)
     rho = snr(model, paths, noise_variance)
     error = differences(detections.vector[:, None], truth[None], model.waveform.max_delay or np.inf)
-    both = detections.covariance[:, None] + bound[None]
-    distance, volume = np.empty(error.shape[:2]), np.empty(error.shape[:2])
-    if error.size:
+    telling = np.isfinite(bound[:, active][:, :, active]).all(axis=(1, 2))
+    both = detections.covariance[:, None] + bound[None, telling]
+    distance, volume = np.full(error.shape[:2], 1e9), np.zeros(error.shape[:2])
+    if both.size:
         both = both[..., active, :][..., active]
-        distance, volume = (
-            np.nan_to_num(_squared(error[..., active], both), nan=1e9),
-            np.linalg.slogdet(both / _unit(bound, active))[1],
+        distance[:, telling], volume[:, telling] = (
+            np.nan_to_num(_squared(error[:, telling][..., active], both), nan=1e9),
+            np.linalg.slogdet(both / _unit(bound[telling], active))[1],
         )
     # The determinant keeps an unresolved path with a huge bound from taking the detection of its strong
     # neighbor.

@@ -166,7 +166,7 @@ class SourceModel(Frozen):
     doppler_std: Spread = 0.1  # m/s
     detection_probability: Chance = 0.9
     sp_range: Positive | None = 50.0  # m, a scatter point is visible within; None: everywhere
-    clutter_rate: Annotated[float, Field(ge=0, le=1e4)] = 1.0  # false detections per scan
+    clutter_rate: Annotated[float, Field(ge=0, le=1000)] = 1.0  # false detections per scan
     clutter_range: Positive = 300.0  # m, clutter delays lie within [bias, bias + this]
     virtual_anchors: tuple[Vector3, ...] = ()  # m; without a trace the walls have to be named by their VAs
 
@@ -217,9 +217,9 @@ class Filter(Frozen):
     options: dict[str, Any] = Field(default_factory=dict)  # of a filter of one's own
     start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
     particles: Count = 1000  # of belief propagation
-    associations: Count = 10  # γ best data associations per step
-    iterations: Count = 3  # of the update; 1 is the plain EKF
-    survival: Annotated[float, Field(gt=0, le=1)] = 1.0
+    associations: Few = 10  # γ best data associations per step
+    iterations: Few = 3  # of the update; 1 is the plain EKF
+    survival: Chance = 1.0
     intensity_va: Positive = 1e-7  # m⁻³, undetected virtual anchors
     intensity_sp: Positive = 4e-6  # m⁻³, undetected scatter points
     intensity_sr: NonNegative | None = None  # m⁻³, second reflections; default a hundredth of intensity_va, 0: none
@@ -232,16 +232,16 @@ class Filter(Frozen):
     report_existence: Probability = 0.5
     linearization: Literal["extended", "cubature"] = "extended"
     reweight: bool = False  # weight associations by the evidence of the joint update
-    hypotheses: Count = 20  # of the mixture: global hypotheses kept between steps
-    lag: Count = 5  # steps that the smoother revisits
+    hypotheses: Few = 20  # of the mixture: global hypotheses kept between steps
+    lag: Few = 5  # steps that the smoother revisits
     birth_va: NonNegative = 0.0  # m⁻³ per step, added to the intensity of undetected virtual anchors
     birth_sp: NonNegative = 0.0
     thinning: bool = False  # reduce the undetected intensity inside the field of view after every scan
     motion: Literal["known", "unknown"] = "known"  # speed and turn rate: known, or in the state
-    speed_std: Positive = 2.0  # m/s, initial, when unknown
-    turn_rate_std: Positive = 0.03  # rad/s
-    speed_walk: Positive = 0.1  # m/s per step
-    turn_rate_walk: Positive = 0.002  # rad/s per step
+    speed_std: Spread = 2.0  # m/s, initial, when unknown
+    turn_rate_std: Spread = 0.03  # rad/s
+    speed_walk: Spread = 0.1  # m/s per step
+    turn_rate_walk: Spread = 0.002  # rad/s per step
 
     @field_validator("density")
     @classmethod

@@ -18,6 +18,8 @@ from dopslam.records import ABSENT, SPEED_OF_LIGHT, DetectionSeries, Ragged, fil
 Array = NDArray[np.float64]
 
 CLUTTER = -1
+LARGEST = np.array([1e9, 1e3, 1e3, 1e3, 1e3, 3e8])  # m, rad, m/s: no measurement or deviation is larger
+LARGEST_SCAN = 2000  # measurements of one step
 DOUBTFUL = 1 | 2  # flags of a close pair and of the edge of view, whose covariances are too small
 WIDENING = 4.0  # of their R
 
@@ -85,6 +87,20 @@ class Scans(Ragged):
         if self.interval is not None and not (len(self.interval) == self.steps and np.all(self.interval > 0)):
             raise FilterError(f"Scans.interval must be {self.steps} positive times [s], got {self.interval[:6]}…")
         variances = np.einsum("nii->ni", self.covariance)
+        wrong = (np.abs(self.z) > LARGEST) | (variances > LARGEST**2)
+        if wrong.any():  # beyond these compiled code overflows, and indexes by what is no number
+            row, column = (int(i) for i in np.argwhere(wrong)[0])
+            raise FilterError(
+                f"Scans row {row}, component {column}: value {self.z[row, column]:g} or variance "
+                f"{variances[row, column]:g} beyond what can be filtered (magnitude or deviation above "
+                f"{LARGEST[column]:g}); check its unit or drop the measurement"
+            )
+        most = int(np.diff(self.offsets).max(initial=0))
+        if most > LARGEST_SCAN:
+            raise FilterError(
+                f"Scans: step {int(np.argmax(np.diff(self.offsets)))} holds {most} measurements, at most {LARGEST_SCAN} can "
+                "be associated; lower the false-alarm rate or keep the strongest"
+            )
         if n and not (variances > 0).all():
             row = int(np.argmin(variances.min(axis=1)))
             raise FilterError(

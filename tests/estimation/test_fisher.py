@@ -9,17 +9,23 @@ import pytest
 
 from estimation import (
     SPEED_OF_LIGHT,
+    CosinePattern,
+    Detections,
     EstimationError,
     PathTable,
     SignalModel,
     comb,
     crb,
+    cylinder,
     digital,
     fisher_information,
+    random_phase_beams,
     snr,
+    sweep,
     ula,
     ura,
 )
+from estimation.evaluate import associate
 
 
 def test_isolated_path_has_the_textbook_bounds():
@@ -103,3 +109,23 @@ def test_delay_bound_in_meters_at_400_megahertz():
 def test_bad_variance_is_named(model, paths):
     with pytest.raises(EstimationError, match="positive"):
         crb(model, paths, 0.0)
+
+
+def test_paths_that_tell_nothing_are_matched_with_nothing():
+    """Behind a panel of cosine elements; even where most paths are, the others are found again."""
+    rng = np.random.default_rng(4)
+    panel = ura(2, 4, pattern=CosinePattern())
+    model = SignalModel(
+        comb(28e9, 120e3, 60, 8), sweep(random_phase_beams(8, 8, rng), 4, 4e-5, rng=rng), panel, cylinder(8, 2)
+    )
+    aod = np.array([[0.2, 0.1], [3.0, 0.1], [2.8, -0.2], [-0.4, 0.3], [3.1, 0.0]])  # three of five behind
+    paths = PathTable(
+        delay=np.array([0.2, 0.3, 0.4, 0.5, 0.6]) * 1e-6, aoa=[[0.1 * i, 0.2] for i in range(5)], aod=aod,
+        radial_velocity=np.arange(5.0), gain=np.ones(5),
+    )  # fmt: skip
+    ahead = [0, 3]
+    chosen = {n: getattr(paths, n)[ahead] for n in ("delay", "aoa", "aod", "radial_velocity", "gain")}
+    seen = Detections.of(PathTable(**chosen), crb(model, paths, 1.0)[ahead], snr=snr(model, paths, 1.0)[ahead])
+    match = associate(model, seen, paths, 1.0)
+    assert sorted(match.truth.tolist()) == ahead and match.false == 0
+    assert match.detected.tolist() == [True, False, False, True, False]

@@ -45,7 +45,7 @@ from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
 
-LARGEST_LENGTH, LARGEST_ANGLE, LARGEST_SPEED = 1e9, 1e3, 3e8  # m, rad, m/s: no measurement or deviation is larger
+LARGEST_STATE = 1e24  # of prior and process noise: beyond, compiled code overflows
 
 
 class Info(NamedTuple):
@@ -287,21 +287,19 @@ def scan_of(scans: Scans, k: int, doppler: bool) -> Scan:
     return Scan(z[rows], covariance[rows], log_snr[rows], rows.start, clutter)
 
 
-def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array) -> None:
+def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array, covariance: Array) -> None:
     """Refuse what cannot be filtered, with a remedy."""
     if model.use_snr and scans.snr is None:
         raise FilterError(
             "detection model 'snr' needs Scans.snr; give the ρ of each detection or use ConstantDetection"
         )
-    largest = np.array([LARGEST_LENGTH, *[LARGEST_ANGLE] * 4, LARGEST_SPEED])
-    wrong = (np.abs(scans.z) > largest) | (np.einsum("nii->ni", scans.covariance) > largest**2)
-    if wrong.any():  # beyond these compiled code overflows, and indexes by what is no number
-        row, column = (int(i) for i in np.argwhere(wrong)[0])
-        raise FilterError(
-            f"Scans row {row}, component {column}: value {scans.z[row, column]:g} or variance "
-            f"{scans.covariance[row, column, column]:g} beyond what can be filtered "
-            f"(magnitude or deviation above {largest[column]:g}); check its unit or drop the measurement"
-        )
+    for name, values in (
+        ("prior mean", mean),
+        ("prior covariance", covariance),
+        ("process noise", model.process_noise),
+    ):
+        if not np.all(np.abs(values) < LARGEST_STATE):  # NaN included
+            raise FilterError(f"{name} holds values that are not finite or above {LARGEST_STATE:g} in magnitude")
     if model.process_noise.shape[0] != np.size(mean):
         raise FilterError(
             f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; "
@@ -339,7 +337,7 @@ def run(
     """
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
-    check_inputs(scans, parameters, model, prior[0])
+    check_inputs(scans, parameters, model, *prior)
     arrays, at = scan_arrays(scans, parameters.doppler), np.zeros(1, dtype=np.int64)
     try:
         _, mean, covariance, map_offsets, table, weight, count, track, existence, nis, rows = filter_scans(

@@ -88,7 +88,7 @@ class Joint:
         """One recursion (30)."""
         problem = state.problem
         model = compile_model(self.parameters(problem, scan), problem.motion, problem.anchor, problem.height)
-        ek_pmb.check_inputs(scan, self.parameters(problem, scan), model, problem.mean)
+        ek_pmb.check_inputs(scan, self.parameters(problem, scan), model, problem.mean, problem.covariance)
         read = ek_pmb.scan_of(scan, 0, self.doppler)._replace(first=state.measurements)
         density, told = self._step(state.density, read, model)
         info = Info(estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence)

@@ -127,7 +127,7 @@ def run(
         raise FilterError(f"pmbm: hypotheses is {hypotheses}; it must be at least 1")
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
-    check_inputs(scans, parameters, model, prior[0])
+    check_inputs(scans, parameters, model, *prior)
     mixture = [Hypothesis(0.0, initial_density(*prior))]
     n = motion.dimension
     means, covariances, tables, infos = [], [], [], []
