@@ -79,7 +79,7 @@ FLOORS = [
     },
     {"models", "raytracing"},
     {"slam", "simulate", "evaluate"},
-    {"problem", "report", "preflight", "create"},
+    {"problem", "report", "preflight", "outlook", "create"},
     {"pipeline"},
     {"datasets"},
     {"formats"},

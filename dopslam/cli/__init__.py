@@ -29,7 +29,7 @@ VERBS = {
     "view": "Open the report of a run: what came out, a replay in three dimensions, tables and figures.",
     "montecarlo": "Many runs of a filter in parallel, beside their bounds.",
     "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
-    "check": "Validate a dataset folder or file and say what is wrong where.",
+    "check": "Say everything that is wrong with a scene, before it runs, or with a dataset.",
     "import": "Turn foreign detections (CSV, MATLAB) into a dataset file that slam runs on.",
     "export": "Write a dataset for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV.",
     "sweep": "Repeat a Monte Carlo study over values of scenario keys: one table, one figure.",

@@ -66,6 +66,7 @@ def run(
 
     from dopslam.config.scenario import load
     from dopslam.pipeline import file as stages
+    from dopslam.pipeline.look import look_at
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)
@@ -88,6 +89,7 @@ def run(
         seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
 
     failed: dict[str, str] = {}
+    foreseen: list[str] = []
 
     def tried(name: str, stage: str, function, *arguments):
         """A variant that fails is named at the end; the others go on."""
@@ -106,6 +108,9 @@ def run(
                 timed("simulate", stages.simulate, data, scenario, seed)
             else:
                 timed("trace", stages.trace, data, scenario, seed, progress)
+                tried("look ahead", "trace", lambda: foreseen.extend(map(str, look_at(data).findings)))
+                for finding in foreseen:
+                    console.print(f"note: {finding}", highlight=False, soft_wrap=True)
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
@@ -120,7 +125,7 @@ def run(
         summary = None
         try:
             summary, evaluations = stages.evaluate(data, failed=failed)
-            summary["derived"] = scenario.derived
+            summary |= {"derived": scenario.derived, "foreseen": foreseen}
             summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
             stages.report(data, working, summary, evaluations)
         except Exception as error:  # what was computed is worth more than its report

@@ -98,9 +98,8 @@ def place(triangles: np.ndarray, habit: Habit, ground: float, blocked, rng: np.r
     height = ground + habit.receiver_height
     segments = np.concatenate([sections(triangles, ground + 0.35), sections(triangles, height)])
     walls = sections(triangles, height)
-    if not len(walls):
-        return None
-    low, high = walls.min(axis=(0, 1)), walls.max(axis=(0, 1))
+    outline = (walls if len(walls) > 3 else triangles[..., :2]).reshape(-1, 2)
+    low, high = outline.min(axis=0), outline.max(axis=0)
     spots = rng.uniform(low, high, (TRIALS, 2))
     spots = spots[~blocked(np.column_stack([spots, np.full(len(spots), height)]))]
     azimuth = 2 * np.pi * np.arange(RAYS) / RAYS
@@ -113,7 +112,7 @@ def place(triangles: np.ndarray, habit: Habit, ground: float, blocked, rng: np.r
             continue
         reach = hits(spot, rays, local)
         enclosed = float(np.mean(reach < habit.radius))
-        found = _around(spot, rays, reach, local, habit, ground, blocked, rng) if enclosed > 0.3 else None
+        found = _around(spot, rays, reach, local, habit, ground, blocked, rng) if enclosed > 0 else None
         if found is None:
             continue
         score = found.seen + enclosed + 0.5 * found.speed / habit.speed
