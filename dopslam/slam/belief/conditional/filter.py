@@ -56,7 +56,7 @@ class Conditional:
     iterations: int = 3
     kernel: float = 0.7
     widening: float = 1.15
-    pair_gate: float = 200.0
+    pair_gate: float = 25.0
     gate: float = 1e-7
     prune_type: float = 1e-5
 
@@ -166,7 +166,7 @@ class Conditional:
                 *inputs, start, point, pose, *slopes, anchor, rows, log_pair, log_missed,
                 self.prune_type * parameters.pruning_threshold,
             )  # fmt: skip
-            moved = updated[0] - start
+            linearized, moved = (start, point), updated[0] - start
             start, point = updated[0], updated[2]
             whole = prior.mean.copy()
             whole[prior.active] = start
@@ -182,7 +182,13 @@ class Conditional:
         posterior = replace(prior, mean=whole, covariance=covariance, map=chart)
         effective = float("nan")
         if self._sampled:
-            exact = (prior.map.form, prior.map.first, prior.map.weight), updated[6:10], slopes[1], log_pair, log_missed
+            exact = (
+                (prior.map.form, prior.map.first, prior.map.weight),
+                (*linearized, *updated[6:10]),
+                slopes[1],
+                log_pair,
+                log_missed,
+            )
             posterior, effective = self._resample(rng, posterior, prior, centers, noise, exact, rows)
         return self._finish(
             posterior, scan, rows, association.new, association.marginal, log_false, log_born, effective, 0

@@ -22,10 +22,13 @@ _LOG_2PI = math.log(2.0 * math.pi)
 
 @compiled
 def log_messages(
-    form, first, weight, coordinates, poses, before_mean, before_center, before_gain, before_spread, by_feature,
+    form, first, weight, coordinates, poses, start, point, before_mean, before_center, before_gain, before_spread, by_feature,
     anchor, scan, log_pair, log_missed,
 ):  # fmt: skip
     """Σ_k ln γ_k of every particle, (N,): each feature as it was, given the agent, when its turn came.
+
+    Exact in the agent; in the feature linearized where the update was, at its posterior, which matters while a feature is
+    uncertain: particle s sees it at point + G (s − start).
 
     coordinates (N, d), poses (N, 8) : the particles; the rest as :func:`update.sequential_update` takes and gives it
     """
@@ -33,7 +36,7 @@ def log_messages(
     count, n = scan.distance.shape[0], scan.covariance.shape[1]
     result = np.zeros(particles)
     owner = np.empty(particles)
-    factor, residual = np.empty((n, n)), np.empty(8)
+    factor, residual, shift = np.empty((n, n)), np.empty(8), np.empty(n)
     none, none3 = np.empty((1, POSE)), np.empty((1, 3))
     direction = math.log(2.0 * math.pi if scan.count == 1 else 4.0 * math.pi)
     for k in range(first.shape[0] - 1):
@@ -47,6 +50,13 @@ def log_messages(
             owner[i] = base
         for r in range(first[k], first[k + 1]):
             used = n - scan.count if form[r] == VA else n
+            for i in range(used):
+                shift[i] = 0.0
+                for a in range(3):
+                    offset = before_center[r, a] - point[r, a]
+                    for j in range(size):
+                        offset += before_gain[r, a, j] * (start[j] - before_mean[k, j])
+                    shift[i] += by_feature[r, i, a] * offset
             for m in range(count):
                 if log_pair[r, m] == -np.inf or weight[r] < 1e-12:
                     continue
@@ -65,16 +75,16 @@ def log_messages(
                 if form[r] == VA:
                     scale -= direction
                 for p in range(particles):
-                    qx, qy, qz = before_center[r, 0], before_center[r, 1], before_center[r, 2]
+                    qx, qy, qz = point[r, 0], point[r, 1], point[r, 2]
                     for j in range(size):
-                        offset = coordinates[p, j] - before_mean[k, j]
+                        offset = coordinates[p, j] - start[j]
                         qx += before_gain[r, 0, j] * offset
                         qy += before_gain[r, 1, j] * offset
                         qz += before_gain[r, 2, j] * offset
                     observe(form[r], poses[p], qx, qy, qz, anchor, scan, m, residual, False, none, none3)
                     value = scale
                     for i in range(used):
-                        e = residual[i]
+                        e = residual[i] - shift[i]
                         for j in range(i):
                             e -= factor[i, j] * residual[j]
                         e /= factor[i, i]
