@@ -10,6 +10,7 @@ import pytest
 from dopslam.cli import main
 from dopslam.config.scenario import load, shipped_scenes
 from dopslam.errors import ConfigError, FilterError
+from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.experiment import Experiment
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.stacked.stacked import Stacked
@@ -53,7 +54,9 @@ def test_settings_reach_the_filter():
     assert case.filter.parameters.amplitude.tail_weight == 0.3
     assert case.filter.parameters.birth_rate == 0.2
     assert case.skip == 7
-    assert isinstance(case.filter, RaoBlackwell)
+    assert isinstance(case.filter, Conditional)
+    assert case_of(load("pedestrian", ["belief.agent=gaussian"])).filter.parameters.agent == "gaussian"
+    assert isinstance(case_of(load("pedestrian", ["belief.features=independent"])).filter, RaoBlackwell)
     settings = ["belief.engine=stacked", "belief.backend=numba"]
     assert isinstance(case_of(load("pedestrian", settings)).filter, Stacked)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from joblib import Parallel, delayed
 
 from dopslam.errors import FilterError
+from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.experiment import (
     Experiment,
     blocked,
@@ -50,12 +51,14 @@ class Case:
     parameters: Parameters | None = field(default=None)
 
     @property
-    def filter(self) -> RaoBlackwell | Stacked:
+    def filter(self) -> RaoBlackwell | Conditional | Stacked:
         """The filter."""
         parameters = replace(self.parameters or self.experiment.parameters, types=self.types)
         motion = motion_of(self.experiment, self.speed_increment)
         if self.engine == "rao_blackwellized":
-            return RaoBlackwell(parameters, motion)
+            if parameters.features == "independent":
+                return RaoBlackwell(parameters, motion)
+            return Conditional(parameters, motion, particles=self.particles)
         if self.experiment.spatial:
             raise FilterError("the stacked engine is planar; use rao_blackwellized for a spatial experiment")
         return Stacked(parameters, motion, self.experiment.radio, backend(self.backend))
@@ -97,6 +100,6 @@ def run_case(
 
 def _run(case: Case, seed: tuple[int, int], particles: int) -> RunResult:
     """One run, after two steps that load the compiled code, so that times exclude it."""
-    short = replace(case.experiment, steps=2)
-    one_run(short, case.filter, 64, (0, 0), informed=case.informed)
-    return one_run(case.experiment, case.filter, particles, seed, informed=case.informed, skip=case.skip)
+    short, filter_ = replace(case.experiment, steps=2), replace(case, particles=particles).filter
+    one_run(short, filter_, 64, (0, 0), informed=case.informed)
+    return one_run(case.experiment, filter_, particles, seed, informed=case.informed, skip=case.skip)

@@ -115,7 +115,7 @@ def test_certain_association_is_the_joint_kalman_filter(seed):
     log_pair[1, 0] = 0.0
     result = update.sequential_update(
         form, np.array([0, 1, 2, 3]), np.array([0, 1, 2]), np.array([0.0, 1.0, 1.0]), *state, mean, center, pose, *slopes,
-        ANCHOR, rows, log_pair, np.array([0.0, -700.0, 0.0]), 0.0,
+        ANCHOR, rows, np.ones((3, 2)), log_pair, np.array([0.0, -700.0, 0.0]), 0.0,
     )  # fmt: skip
     slope = np.zeros((6, 13))
     slope[:, :4], slope[:, 7:10] = slopes[0][1], slopes[1][1]
@@ -146,7 +146,7 @@ def test_a_mixture_has_the_moments_of_the_enumeration(seed):
     w = np.array([exists * missed, exists * 0.5, exists * 0.3])
     result = update.sequential_update(
         form, np.array([0, 1, 2, 3]), np.array([0, 1, 2]), np.array([0.0, exists, 1.0]), *state, mean, center, pose,
-        *slopes, ANCHOR, rows, log_pair, np.array([0.0, np.log(missed), 0.0]), 0.0,
+        *slopes, ANCHOR, rows, np.ones((3, 2)), log_pair, np.array([0.0, np.log(missed), 0.0]), 0.0,
     )  # fmt: skip
     total = w.sum() + 1 - exists
     np.testing.assert_allclose(result[5][1], w / total, atol=1e-12)
@@ -210,7 +210,7 @@ def test_amplitude_messages_are_those_of_the_reference():
     model = AmplitudeModel(4.0, 1e4, 0.1, 60.0)
     mean, variance, z = np.array([5.0, 20.0, 45.0]), np.array([1.0, 9.0, 4.0]), np.array([4.5, 18.0, 44.0, 21.0])
     table = amplitude.amplitude_table(model, None, 0.0, 60.0)
-    logs, posterior = amplitude.amplitude_messages(table, mean, variance, z, np.ones((3, 4), bool))
+    logs, posterior = amplitude.amplitude_messages(table, mean, variance, z)
     log_a, post_mean, post_variance, missed, missed_mean, missed_variance = oracle.amplitude_messages(
         model, mean, variance, z
     )

@@ -169,26 +169,25 @@ def undetected(table, mean, variance, out):
 
 
 @compiled
-def amplitude_messages(table, mean, variance, z, possible):
+def amplitude_messages(table, mean, variance, z):
     """Messages of R rows and M measurements.
 
     Parameters
     ----------
-    mean, variance : (R,) of the rows' amplitudes u; z : (M,); possible : (R, M), pairs worth looking at
+    mean, variance : (R,) of the rows' amplitudes u; z : (M,)
 
     Returns
     -------
-    log_evidence (R, M + 1) : column 0 missed, −inf where not possible
+    log_evidence (R, M + 1) : column 0 missed
     posterior (R, M + 1, 2) : mean and variance of u
     """
     rows, count = mean.shape[0], z.shape[0]
-    log_evidence, posterior = np.full((rows, count + 1), -np.inf), np.zeros((rows, count + 1, 2))
+    log_evidence, posterior = np.empty((rows, count + 1)), np.empty((rows, count + 1, 2))
     out = np.empty(2)
     for r in range(rows):
         log_evidence[r, 0] = undetected(table, mean[r], variance[r], out)
         posterior[r, 0, 0], posterior[r, 0, 1] = out[0], out[1]
         for m in range(count):
-            if possible[r, m]:
-                log_evidence[r, 1 + m] = detected(table, mean[r], variance[r], z[m], out)
-                posterior[r, 1 + m, 0], posterior[r, 1 + m, 1] = out[0], out[1]
+            log_evidence[r, 1 + m] = detected(table, mean[r], variance[r], z[m], out)
+            posterior[r, 1 + m, 0], posterior[r, 1 + m, 1] = out[0], out[1]
     return log_evidence, posterior

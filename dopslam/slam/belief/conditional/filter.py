@@ -128,16 +128,19 @@ class Conditional:
         chart = prior.map
         slopes = linearized_rows(chart.form, chart.center, pose, by_coordinate, anchor, rows)
         mean = prior.mean[prior.active]
-        log_density = pair_densities(
-            chart.form, mean, prior.covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows,
-            self.pair_gate,
-        )  # fmt: skip
         loss = np.array([log_loss(f, pose, *x, anchor) for f, x in zip(chart.form, chart.center, strict=True)])
         u = chart.reference[:, 0] * np.exp(-0.5 * loss)
         variance = chart.reference[:, 1] * np.exp(-loss) + (parameters.amplitude_walk * u) ** 2
         log_amplitude, amplitudes = amplitude_messages(
-            self._table, u, variance, np.ascontiguousarray(scan.amplitude, float), np.isfinite(log_density)
+            self._table, u, variance, np.ascontiguousarray(scan.amplitude, float)
         )
+        scale = np.ones(log_amplitude[:, 1:].shape)
+        if parameters.rescale_covariance:
+            scale = (scan.amplitude / amplitudes[:, 1:, 0]) ** 2
+        log_density = pair_densities(
+            chart.form, mean, prior.covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows,
+            scale, self.pair_gate,
+        )  # fmt: skip
         log_born = self._log_births(pose, by_coordinate, prior.covariance, rows)[0] - log_false[:, None]
         association = self._associate(chart, log_density, log_amplitude, log_false, log_born)
         owner = chart.owner
@@ -163,7 +166,7 @@ class Conditional:
             if iteration > 0:
                 slopes = linearized_rows(chart.form, point, pose, by_coordinate, anchor, rows)
             updated = sequential_update(
-                *inputs, start, point, pose, *slopes, anchor, rows, log_pair, log_missed,
+                *inputs, start, point, pose, *slopes, anchor, rows, scale, log_pair, log_missed,
                 self.prune_type * parameters.pruning_threshold,
             )  # fmt: skip
             linearized, moved = (start, point), updated[0] - start
@@ -186,6 +189,7 @@ class Conditional:
                 (prior.map.form, prior.map.first, prior.map.weight),
                 (*linearized, *updated[6:10]),
                 slopes[1],
+                scale,
                 log_pair,
                 log_missed,
             )
@@ -247,7 +251,7 @@ class Conditional:
     def _resample(self, rng, posterior: Belief, prior: Belief, centers, noise, exact, rows):
         """Exact weights of particles from the linearized proposal; the agent becomes theirs, the map follows it."""
         active, chart = posterior.active, posterior.map
-        (form, first, weight), before, by_feature, log_pair, log_missed = exact
+        (form, first, weight), before, by_feature, scale, log_pair, log_missed = exact
         before_prior = prior.mean[active], prior.covariance
         means, covariance = sampling.proposal(
             centers, noise, before_prior, (posterior.mean[active], posterior.covariance), self.widening
@@ -259,7 +263,7 @@ class Conditional:
         whole[:, active] = points
         log_weight = sampling.log_messages(
             form, first, weight, points, self.dynamics.poses(whole), *before, by_feature,
-            np.asarray(self.parameters.anchor, float), rows, log_pair, log_missed,
+            np.asarray(self.parameters.anchor, float), rows, scale, log_pair, log_missed,
         )  # fmt: skip
         log_weight += sampling.quadratic(points - means[chosen], covariance)
         log_weight -= sampling.quadratic(points - centers[chosen], noise)

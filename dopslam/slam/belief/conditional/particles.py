@@ -23,7 +23,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 @compiled
 def log_messages(
     form, first, weight, coordinates, poses, start, point, before_mean, before_center, before_gain, before_spread, by_feature,
-    anchor, scan, log_pair, log_missed,
+    anchor, scan, noise, log_pair, log_missed,
 ):  # fmt: skip
     """Σ_k ln γ_k of every particle, (N,): each feature as it was, given the agent, when its turn came.
 
@@ -62,7 +62,7 @@ def log_messages(
                     continue
                 for i in range(used):
                     for j in range(i + 1):
-                        value = scan.covariance[m, i, j]
+                        value = noise[r, m] * scan.covariance[m, i, j]
                         for a in range(3):
                             for b in range(3):
                                 value += by_feature[r, i, a] * before_spread[r, a, b] * by_feature[r, j, b]

@@ -83,11 +83,11 @@ def residual_at(r, used, mean, start, center, point, by_agent, by_feature, resid
 
 
 @compiled
-def _density(base, noise, used, residual, factor):
-    """ln N(residual; 0, base + noise); leaves the Cholesky factor in ``factor`` and L⁻¹residual in ``residual``."""
+def _density(base, noise, scale, used, residual, factor):
+    """ln N(residual; 0, base + scale · noise); leaves the Cholesky factor in ``factor`` and L⁻¹residual in ``residual``."""
     for i in range(used):
         for j in range(i + 1):
-            factor[i, j] = base[i, j] + noise[i, j]
+            factor[i, j] = base[i, j] + scale * noise[i, j]
     if not cholesky(factor, used):
         return -np.inf
     value = 0.0
@@ -100,7 +100,7 @@ def _density(base, noise, used, residual, factor):
 
 
 @compiled
-def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent, by_feature, anchor, scan, gate):
+def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent, by_feature, anchor, scan, scale, gate):
     """ln N(z_m; ẑ_r, S_rm) of every row and measurement, (R, M), at the point of linearization; −inf beyond the gate."""
     rows, count = form.shape[0], scan.distance.shape[0]
     n = scan.covariance.shape[1]
@@ -118,10 +118,12 @@ def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent,
             )
             near = True
             for i in range(used):  # each row alone bounds the distance from below
-                near = near and residual[i] * residual[i] < gate * (total[i, i] + scan.covariance[m, i, i])
+                near = near and residual[i] * residual[i] < gate * (
+                    total[i, i] + scale[r, m] * scan.covariance[m, i, i]
+                )
             if not near:
                 continue
-            value = _density(total, scan.covariance[m], used, residual, factor)
+            value = _density(total, scan.covariance[m], scale[r, m], used, residual, factor)
             square = 0.0
             for i in range(used):
                 square += residual[i] * residual[i]
@@ -133,7 +135,7 @@ def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent,
 @compiled
 def sequential_update(
     form, first, order, weight, mean, covariance, center, gain, spread, start, point, pose, by_agent, by_feature,
-    anchor, scan, log_pair, log_missed, keep,
+    anchor, scan, scale, log_pair, log_missed, keep,
 ):  # fmt: skip
     """All features' messages to agent and map, one feature after another.
 
@@ -144,6 +146,7 @@ def sequential_update(
     weight (R,) : P(exists, type)
     mean (d,), covariance (d, d) : the agent; center (R, 3), gain (3R, d), spread (3R, 3R) : the map given the agent
     start (d,), point (R, 3), pose, by_agent, by_feature : the linearization
+    scale (R, M) : of the scan's covariances, where a feature's own amplitude tells them better than the measured one
     log_pair (R, M) : everything about a pair but its Gaussian, −inf where ruled out; log_missed (R,)
     keep : rows below this weight get no update of their own
 
@@ -209,9 +212,9 @@ def sequential_update(
                 for i in range(used):
                     error[c, i] = residual[i]
                     for j in range(i + 1):
-                        own_all[c, i, j] = own[i, j] + scan.covariance[m, i, j]
-                        total_all[c, i, j] = total[i, j] + scan.covariance[m, i, j]
-                value = _density(total, scan.covariance[m], used, residual, factor)
+                        own_all[c, i, j] = own[i, j] + scale[r, m] * scan.covariance[m, i, j]
+                        total_all[c, i, j] = total[i, j] + scale[r, m] * scan.covariance[m, i, j]
+                value = _density(total, scan.covariance[m], scale[r, m], used, residual, factor)
                 if value == -np.inf:
                     continue
                 if form[r] == VA:
