@@ -41,6 +41,9 @@ class Table(Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self._all())
 
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and (name in self._all() or ":" in name)
+
     def checked(self, name: str) -> str:
         """The name if it is known or can be a ``module:Class``; nothing is imported.
 

@@ -84,6 +84,7 @@ FLOORS = [
     {"datasets"},
     {"formats"},
     {"studies"},
+    {"api"},
     {"cli"},
 ]
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from dopslam.cli.common import Filters, Runs, Seed, Settings, doppler_choice, filter_names, overrides, worker_count
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 def montecarlo(
@@ -83,6 +80,7 @@ def montecarlo(
         with workers(cluster) as threads:
             belief_study(scene, scenario, flags, runs, seed, threads or worker_count(jobs), json)
         return
+    from dopslam.report import tables
     from dopslam.report.folder import write_json
     from dopslam.slam.filter import uses_doppler
     from dopslam.studies.montecarlo import run_study, summarize, warm_up
@@ -100,26 +98,13 @@ def montecarlo(
                 "compilation_seconds": compilation, **figures,
             }  # fmt: skip
     console = Console(markup=False)
-    console.print(ratios(results))
+    console.print(tables.ratios(results))
     for result in results.values():
         console.print(_told(result, runs))
     if json is not None:
         first = results[names[0]]
         write_json(json, first if len(names) == 1 else first | {"filters": results})
         console.print(f"written: {json}")
-
-
-def ratios(results: dict[str, dict[str, Any]]) -> Table:
-    """RMSE over bound of every filter with its 95 % interval."""
-    from rich.table import Table
-
-    many = len(results) > 1
-    table = Table("", *(["filter"] if many else []), "RMSE / bound", "95 %", box=None)
-    for name, result in results.items():
-        for quantity, value in result["rmse_over_bound"].items():
-            low, high = result["rmse_over_bound_interval"][quantity]
-            table.add_row(quantity, *([name] if many else []), f"{value:.3f}", f"{low:.3f} – {high:.3f}")
-    return table
 
 
 def _told(result: dict[str, Any], runs: int) -> str:

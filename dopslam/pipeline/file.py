@@ -11,12 +11,11 @@ from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.consistency import misfits
 from dopslam.errors import DatasetError, DopslamError
-from dopslam.evaluate import detections as matching
-from dopslam.evaluate import mapping
 from dopslam.evaluate.bounds import Bound
-from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
+from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
 from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
 from dopslam.report import figures, folder, page, replay, tables
@@ -114,19 +113,6 @@ def read_detections(path: Path) -> DetectionSeries:
     return dataset.read_record(path, "detections", DetectionSeries)
 
 
-WITHOUT = ", no Doppler"
-
-
-def variant_name(name: str, doppler: bool) -> str:
-    """Name of a filter variant in tables and files: the filter's, and whether it left Doppler out though it could."""
-    return name if doppler else name + WITHOUT
-
-
-def split_variant(variant: str) -> tuple[str, bool]:
-    """The filter's name and whether it uses Doppler; the inverse of :func:`variant_name`."""
-    return variant.removesuffix(WITHOUT), not variant.endswith(WITHOUT)
-
-
 def variants_of(scenario: Scenario, names: Sequence[str], doppler: bool = True) -> list[tuple[str, bool]]:
     """(filter, Doppler) of every variant: each filter with Doppler if it can and it is wanted, and without."""
     able = {name: pipeline.uses_doppler(scenario, name) for name in dict.fromkeys(names)}
@@ -211,48 +197,25 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     found = histories(path)
     if not found:
         raise DatasetError(f"{path}: holds no filter history; run 'dopslam slam {path}' first")
-    evaluations = {}
-    for name, history in found.items():
+    bounds: dict[str, Bound] = {}
+    for name in list(found):
         filter_name, doppler = split_variant(name)
         group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
-        if group not in have:
-            if failed is not None and bound_name(doppler) in failed:
-                continue
+        if group in have:
+            bounds[name] = dataset.read_record(path, group, Bound)
+        elif failed is not None and bound_name(doppler) in failed:
+            del found[name]
+            continue
+        else:
             option = "" if doppler else " --doppler-std none"
             raise DatasetError(f"{path}: holds no {group!r}; run 'dopslam bound {path}{option}' first")
-        bounds = dataset.read_record(path, group, Bound)
-        _refuse_misfits(path, {"track": track, f"slam_{name}": history, group: bounds})
-        order = pipeline.largest_order(filter_name, landmarks)
-        try:
-            evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds, order)
-        except (DopslamError, ValueError, ArithmeticError) as error:
-            if failed is None:
-                raise
-            failed[f"evaluate {name}"] = str(error)
-    if not evaluations:
-        raise DatasetError(f"{path}: no filter's history could be judged: {failed}")
-    radius = scenario.evaluation.found_radius
+        _refuse_misfits(path, {"track": track, f"slam_{name}": found[name], group: bounds[name]})
     detections = read_detections(path)
     _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
-    matches = None if paths is None else matching.match_series(scenario, track, paths, detections)
-    seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)
-    variants = {
-        name: {"bound": "smoothing" if pipeline.whole_run(scenario, split_variant(name)[0]) else "filtering"}
-        | summarize(e, landmarks, radius)
-        | mapping.fate(landmarks, found[name], scenario.filter.report_existence, *seen).figures(landmarks)
-        for name, e in evaluations.items()
-    }
-    main = next((v for v in variants if split_variant(v)[0] == scenario.filter.density), next(iter(variants)))
-    summary = {
-        "scenario": scenario.name, "seed": seed, "filter": main, "found_within_m": radius,
-        **variants[main],
-        "detections": matching.figures(matches)
-        if matches is not None
-        else {"per_snapshot": len(detections.delay) / detections.steps},
-        "variants": variants,
-        **({"failed": dict(failed)} if failed else {}),
-    }  # fmt: skip
-    return summary, evaluations
+    try:
+        return judged(scenario, seed, (track, landmarks, paths), detections, found, bounds, failed)
+    except DopslamError as error:
+        raise DatasetError(f"{path}: {error}") from error
 
 
 def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:

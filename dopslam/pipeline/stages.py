@@ -20,13 +20,13 @@ from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
 from dopslam.evaluate.run import true_association
-from dopslam.filters import FILTERS
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure, seen_noise
 from dopslam.models.scans import CLUTTER
 from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
+from dopslam.slam.filter import Problem
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.health import divergence
 from dopslam.slam.history import History
@@ -40,14 +40,16 @@ def quiet(stage: str, done: int, total: int) -> None:
 
 
 @dataclass(frozen=True)
-class Traced:
-    """What the tracer leaves: the truth of a run."""
+class Truth:
+    """The truth of a run and what it was made from; without a tracer there are neither paths nor plan nor mesh."""
 
+    scenario: Scenario
+    seed: int
     track: Track
     landmarks: Landmarks
-    paths: Paths
-    plan: FloorPlan
-    mesh: Mesh
+    paths: Paths | None = None
+    plan: FloorPlan | None = None
+    mesh: Mesh | None = None
 
 
 def draw_track(scenario: Scenario, seed: int) -> Track:
@@ -85,7 +87,7 @@ def tracing_inputs(scenario: Scenario, seed: int):
     return preflight.scene_source(scenario), points, settings
 
 
-def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
+def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Truth:
     """Drive the track through the scene and trace every path of every step.
 
     Raises
@@ -105,7 +107,7 @@ def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Traced:
     )
     progress("trace", track.steps, track.steps)
     plan = _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height))
-    return Traced(track, landmarks, paths, plan, Mesh(loaded.surfaces.triangles.astype(np.float32)))
+    return Truth(scenario, seed, track, landmarks, paths, plan, Mesh(loaded.surfaces.triangles.astype(np.float32)))
 
 
 def _plan(outlines: list[tuple[str, np.ndarray]]) -> FloorPlan:
@@ -321,12 +323,6 @@ def whole_run(scenario: Scenario, name: str) -> bool:
     return build.chosen_filter(scenario, name).capabilities.whole_run
 
 
-def largest_order(name: str, landmarks: Landmarks) -> int:
-    """Reflections of a virtual anchor that the map of this filter may hold; second reflections are a kind of their own."""
-    limit = FILTERS[name].largest_order
-    return int(landmarks.order.max()) if limit is None else limit
-
-
 def landmark_of_detections(
     scenario: Scenario, track: Track, landmarks: Landmarks, paths: Paths | None, detections: DetectionSeries
 ) -> np.ndarray:
@@ -355,13 +351,14 @@ def bound(
     detections: DetectionSeries,
     doppler: bool = True,
     smoothed: bool = False,
+    problem: Problem | None = None,
 ) -> Bound:
     """PCRB (17) at the true track with the R and the detections of this run and the true association.
 
     With ``smoothed`` every step is bounded by the detections of the whole run instead of those up to it.
 
     Paths of two reflections tell what they tell the filters, everything but their departure, unless ``[filter]`` has no
-    such type; those of more carry no information here.
+    such type; those of more carry no information here. ``problem`` is what the filter is told; default the scenario's.
     """
     scans = build.scans(scenario, detections)
     label = landmark_of_detections(scenario, track, landmarks, paths, detections)
@@ -372,7 +369,7 @@ def bound(
     step = np.repeat(np.arange(scans.steps), np.diff(scans.offsets))
     real = label >= 0
     covariance[step[real], label[real]] = seen_noise(scans.covariance[real], kind[label[real]])
-    problem = build.problem(scenario)
+    problem = problem or build.problem(scenario)
     return pcrb(
         *true_states(track, problem.motion),
         problem.covariance,

@@ -64,6 +64,17 @@ _ROWS = (
 )
 
 
+def ratios(results: dict[str, dict]) -> Table:
+    """RMSE over bound of every filter with its 95 % interval."""
+    many = len(results) > 1
+    table = Table("", *(["filter"] if many else []), "RMSE / bound", "95 %", box=None)
+    for name, result in results.items():
+        for quantity, value in result["rmse_over_bound"].items():
+            low, high = result["rmse_over_bound_interval"][quantity]
+            table.add_row(quantity, *([name] if many else []), f"{value:.3f}", f"{low:.3f} – {high:.3f}")
+    return table
+
+
 def as_text(table: Table) -> str:
     """The table as plain text."""
     buffer = io.StringIO()

@@ -221,10 +221,10 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
     }
     steps |= {
         "nees": np.mean([r.nees for r in good], axis=0).tolist(),
-        "nis_per_row": np.mean([r.nis for r in good], axis=0).tolist(),
+        "nis_per_row": [_finite(v) for v in np.mean([r.nis for r in good], axis=0)],
         "gospa_va_m": gospa_va[..., 0].mean(axis=0).tolist(),
         "gospa_sp_m": gospa_sp[..., 0].mean(axis=0).tolist(),
-        "correct_da_weight": np.mean([r.correct_weight for r in good], axis=0).tolist(),
+        "correct_da_weight": [_finite(v) for v in np.mean([r.correct_weight for r in good], axis=0)],
     }
     for kind, values in (("va", gospa_va), ("sp", gospa_sp)):
         for column, part in enumerate(("localization", "missed", "false"), start=1):
@@ -248,7 +248,7 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         "nees_mean": float(per_run_nees.mean()),
         "nees_interval": _bootstrap([per_run_nees], np.mean),
         "nees_expected": 4 if "speed" not in names else 6,
-        "nis_per_row": float(np.mean([r.nis for r in good])),
+        "nis_per_row": _finite(np.mean([r.nis for r in good])),
         "gospa_va_m": _time_and_last(gospa_va[..., 0]),
         "gospa_sp_m": _time_and_last(gospa_sp[..., 0]),
         "correct_da_weight": float(weight.mean()) if np.isfinite(weight).all() else None,
@@ -260,6 +260,11 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         "microseconds_per_step": float(np.median([r.seconds for r in good]) / study.situation.steps * 1e6),
         "per_step": steps,
     }
+
+
+def _finite(value: float) -> float | None:
+    """A number for JSON; None where a filter has no such figure."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _time_and_last(values: Array) -> dict[str, Any]:

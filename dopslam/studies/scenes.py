@@ -20,6 +20,7 @@ from dopslam.evaluate.run import evaluate_run, summarize
 from dopslam.filters import FILTERS
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.judge import largest_order
 from dopslam.records import Kind
 from dopslam.report.folder import write_json
 from dopslam.store import file as dataset
@@ -99,7 +100,7 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     history = pipeline.slam(scenario, detections, density, doppler, seed)
     smoothed = pipeline.whole_run(scenario, density)
     bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
-    order = pipeline.largest_order(density, landmarks)
+    order = largest_order(density, landmarks)
     evaluation = evaluate_run(scenario, track, landmarks, history, bound, order)
     matches = matching.match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)

@@ -18,6 +18,7 @@ from dopslam.evaluate import detections as matching
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.judge import largest_order
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.store import file as dataset
 
@@ -57,10 +58,7 @@ def evaluations(path: Path, noise: str, filters=COMPARED) -> tuple[dict[str, Eva
     for filter_name, doppler in stages.variants_of(scenario, filters):
         name = stages.variant_name(filter_name, doppler)
         history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
-        order, kind = (
-            pipeline.largest_order(filter_name, landmarks),
-            (doppler, pipeline.whole_run(scenario, filter_name)),
-        )
+        order, kind = largest_order(filter_name, landmarks), (doppler, pipeline.whole_run(scenario, filter_name))
         if kind not in bounds:
             bounds[kind] = pipeline.bound(scenario, track, landmarks, paths, detections, *kind)
         found[name] = evaluate_run(scenario, track, landmarks, history, bounds[kind], order)

@@ -1,0 +1,36 @@
+from dopslam import config as config
+from dopslam import errors as errors
+from dopslam import filters as filters
+from dopslam import formats as formats
+from dopslam import records as records
+from dopslam.api import bound as bound
+from dopslam.api import estimate as estimate
+from dopslam.api import evaluate as evaluate
+from dopslam.api import load as load
+from dopslam.api import locate as locate
+from dopslam.api import montecarlo as montecarlo
+from dopslam.api import problem as problem
+from dopslam.api import simulate as simulate
+from dopslam.api import slam as slam
+from dopslam.api import synthesize as synthesize
+from dopslam.api import trace as trace
+from dopslam.api import world as world
+from dopslam.config.scenario import Scenario as Scenario
+from dopslam.errors import DopslamError as DopslamError
+from dopslam.models.motion import CoordinatedTurn as CoordinatedTurn
+from dopslam.models.scans import Scans as Scans
+from dopslam.records import BaseStations as BaseStations
+from dopslam.records import DetectionSeries as DetectionSeries
+from dopslam.records import Kind as Kind
+from dopslam.records import Landmarks as Landmarks
+from dopslam.records import Paths as Paths
+from dopslam.records import Track as Track
+from dopslam.slam.filter import Capabilities as Capabilities
+from dopslam.slam.filter import Filter as Filter
+from dopslam.slam.filter import Info as Info
+from dopslam.slam.filter import Problem as Problem
+from dopslam.slam.history import Diagnostics as Diagnostics
+from dopslam.slam.history import Estimate as Estimate
+from dopslam.slam.history import History as History
+
+__version__: str

@@ -1,0 +1,145 @@
+"""The contract of a filter, for every filter of the table; filters of one's own."""
+
+import json
+import textwrap
+from importlib import metadata
+
+import numpy as np
+import pytest
+
+import dopslam as ds
+from dopslam import problem as build
+from dopslam.errors import ConfigError, FilterError
+from dopslam.filters import FILTERS
+from dopslam.models.scans import Scans
+from dopslam.simulate.world import section_v, simulate, unknown_motion
+from dopslam.slam.filter import Capabilities, Estimate, Info, run, run_steps
+
+OWN = """
+    from dataclasses import dataclass
+    from typing import ClassVar
+
+    import numpy as np
+
+    import dopslam as ds
+    from dopslam.models.motion import propagate
+
+
+    @dataclass(frozen=True)
+    class DeadReckoning:
+        capabilities: ClassVar[ds.Capabilities] = ds.Capabilities(doppler=False)
+        growth: float = 1.0
+
+        def init(self, problem, rng):
+            return problem, problem.mean, problem.covariance
+
+        def step(self, state, scan, rng):
+            problem, mean, covariance = state
+            mean, covariance = propagate(mean, problem.motion), covariance + self.growth * problem.motion.process_noise
+            return (problem, mean, covariance), ds.Info(ds.Estimate(mean, covariance))
+"""
+
+
+@pytest.fixture(scope="module")
+def case():
+    world = section_v(steps=6)
+    states, scans = simulate(world, 3, 0)
+    return build.told(world), states, scans
+
+
+def small(name):
+    return FILTERS[name](particles=200) if name == "bp" else FILTERS[name]()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_tracks_and_maps(name, case):
+    problem, states, scans = case
+    history, diagnostics = run(problem, scans, small(name), seed=1)
+    assert history.steps == scans.steps and len(diagnostics.nis) == scans.steps
+    assert np.hypot(*(history.mean - states)[:, :2].T).max() < 1.5
+    assert len(history.existence) > 0 and np.all(history.existence <= 1 + 1e-9)
+    again, _ = run(problem, scans, small(name), seed=1)
+    np.testing.assert_array_equal(history.mean, again.mean)
+
+
+@pytest.mark.parametrize("name", ["joint", "marginal", "mixture"])
+def test_step_by_step_is_the_run(name, case):
+    """The compiled loop and the online recursion are one filter."""
+    problem, _, scans = case
+    chosen = FILTERS[name]()
+    whole, told = chosen.run(problem, scans, np.random.default_rng(0))
+    steps, info = run_steps(chosen, problem, scans, np.random.default_rng(0))
+    np.testing.assert_allclose(steps.mean, whole.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(steps.covariance, whole.covariance, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(steps.track, whole.track)
+    np.testing.assert_allclose(steps.existence, whole.existence, rtol=1e-9)
+    np.testing.assert_allclose(info.nis, told.nis, rtol=1e-9)
+
+
+def test_capabilities_decide_what_is_refused(case):
+    problem, _, scans = case
+    world = unknown_motion(section_v(steps=6))
+    with pytest.raises(FilterError, match=r"Belief carries 4 states, the motion model has 6.*filter\.motion"):
+        run(build.told(world), scans, FILTERS["bp"]())
+    second = Scans(**{f: getattr(scans, f) for f in Scans.__slots__} | {"anchor": np.ones(len(scans.z), int)})
+    with pytest.raises(FilterError, match="knows 1 base station"):
+        run(problem, second, FILTERS["joint"]())
+    with pytest.raises(FilterError, match="is not a filter"):
+        run(problem, scans, object())
+
+
+def test_a_filter_that_fails_names_its_step(case):
+    class Broken:
+        capabilities = Capabilities()
+
+        def init(self, problem, rng):
+            return 0
+
+        def step(self, state, scan, rng):
+            if state == 2:
+                raise ValueError("no more")
+            return state + 1, Info(Estimate(np.zeros(4), np.eye(4)))
+
+    with pytest.raises(FilterError, match="step 2: Broken: no more"):
+        run(case[0], case[2], Broken())
+
+
+def test_a_filter_of_one_s_own_runs_everywhere(call, tmp_path, monkeypatch, capsys):
+    """One file outside the package: in run, slam, montecarlo and the tables."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(textwrap.dedent(OWN))
+    short = ["--set", "track.steps=4", "--source", "model"]
+    assert call("run", "ring_road", "--filter", "joint,mine.py:DeadReckoning", *short) in (0, 3)
+    table = capsys.readouterr().out
+    assert "DeadReckoning" in table and "joint" in table
+    summary = json.loads((tmp_path / "runs" / "latest" / "summary.json").read_text())
+    assert set(summary["variants"]) == {"joint", "joint, no Doppler", "mine.py:DeadReckoning, no Doppler"}
+    study = ["--filter", "mine.py:DeadReckoning", "--runs", "3", "--jobs", "1", "--json", "out.json"]
+    assert call("montecarlo", "ring_road", *study, "--set", "filter.options.growth=2.0") == 0
+    assert json.loads((tmp_path / "out.json").read_text())["filter"] == "mine.py:DeadReckoning"
+    assert (
+        call("slam", "runs/latest/dataset.h5", "--filter", "mine.py:DeadReckoning", "--set", "filter.options.grwth=1")
+        == 2
+    )
+    assert "has no such option; it has" in capsys.readouterr().err
+
+
+def test_plug_ins_announce_themselves(monkeypatch, tmp_path):
+    (tmp_path / "mine.py").write_text(textwrap.dedent(OWN))
+    point = metadata.EntryPoint("reckoning", f"{tmp_path}/mine.py:DeadReckoning", "dopslam.filters")
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [point] if group == "dopslam.filters" else [])
+    assert "reckoning" in FILTERS and FILTERS["reckoning"].__name__ == "DeadReckoning"
+    assert ds.load("ring_road", set=["filter.density=reckoning"]).filter.density == "reckoning"
+    with pytest.raises(ConfigError, match="did you mean 'reckoning'"):
+        FILTERS["rekoning"]
+
+
+def test_several_filters_run_on_the_same_draws(call, tmp_path):
+    target = tmp_path / "out.json"
+    options = ["--runs", "3", "--jobs", "1", "--set", "track.steps=5", "--particles", "200", "--json", str(target)]
+    assert call("montecarlo", "ring_road", "--filter", "joint,smoother", "--filter", "bp", *options) == 0
+    found = json.loads(target.read_text())["filters"]
+    assert list(found) == ["joint", "smoother", "bp"]
+    bounds = [found[name]["per_step"]["bound_position"] for name in found]
+    assert bounds[0] == bounds[1]  # the same tracks and detections
+    assert found["bp"]["diverged"] == 0
