@@ -150,7 +150,7 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
         gospa_va=maps[0],
         gospa_sp=maps[1],
         correct_weight=correct_association_weight(scans, diagnostics, history)
-        if diagnostics.weights
+        if any(len(w) for w in diagnostics.weights)
         else np.full(world.steps, np.nan),
         seconds=seconds,
     )
