@@ -44,6 +44,12 @@ def empty(estimator: Nomp, noise_variance: float) -> Detections:
     )
 
 
+def seen(data: Projector, lin: Linearization) -> Linearization:
+    """Without the paths that the fit took behind an array and of which nothing is left: one would spoil all covariances."""
+    there = np.flatnonzero(lin.drop > 0)
+    return lin if len(there) == len(lin.gain) else linearize(data, lin.geometry.take(there))
+
+
 def unbiased(lin: Linearization, snr, threshold: float, active) -> Linearization:
     """With gains whose energies are right on average, for covariances that are.
 
@@ -94,6 +100,9 @@ def on_sphere(array: Manifold, view: View) -> Float:
 def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
     """Sorted by rho, in canonical form (and the gains solved for there)."""
     model = data.model
+    if not np.any(lin.drop > 0):
+        return empty(estimator, noise_variance)
+    lin = seen(data, lin)
     order = np.argsort(lin.drop)[::-1]
     geometry = lin.geometry.take(order)
     plain = canonical(estimator, model, geometry)

@@ -27,6 +27,7 @@ from estimation import (
     unit_vectors,
     ura,
 )
+from estimation.estimators import report
 from estimation.estimators.projector import Projector
 from estimation.estimators.refine import information, linearize
 from estimation.evaluate import associate
@@ -289,6 +290,9 @@ def test_a_path_that_a_step_takes_behind_the_array_gets_no_gain(link):
     lin = linearize(Projector(model, signal, None), paths.geometry)
     assert lin.gain[1] == 0 and abs(lin.gain[0] - 1) < 1e-3
     assert np.isfinite(information(lin, model.active)).all() and np.isfinite(lin.drop).all()
+    nomp = Nomp(model, threshold=25.0)
+    told = report.detections(nomp, Projector(model, signal, None), lin, 1e-6)
+    assert len(told) == 1 and np.isfinite(told.covariance).all() and abs(told.delay[0] - 60e-9) < 1e-12
     sage, gain = Sage(model, threshold=25.0), lin.gain.copy()
     assert np.array_equal(sage._maximize(Projector(model, signal, None), paths.geometry, gain, 1).delay, paths.delay)
     assert gain[1] == 0
