@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -38,6 +39,8 @@ VERBS = {
     "doctor": "Say what the ray tracer found here: LLVM, GPU, threads, versions.",
 }
 
+NUMBA_KEPT = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
+
 app = App(
     name="dopslam",
     help="Radio SLAM end to end: trace a scene, synthesize, estimate the channel, run SLAM, compare with bounds.",
@@ -59,6 +62,7 @@ def main(tokens: list[str] | None = None) -> None:
     # One BLAS thread a process, set before NumPy loads: parallelism is over snapshots and runs.
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    _forget_settings()
     _tolerate_narrow_terminals()
     previous = _handled()
     try:
@@ -77,6 +81,17 @@ def main(tokens: list[str] | None = None) -> None:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def _forget_settings() -> None:
+    """Settings of other libraries that people made for other programs: figures and numbers do not follow them.
+
+    A user's matplotlibrc (which may ask for LaTeX), numba without its compiler or with its own dumps. Library calls from
+    Python are left alone.
+    """
+    os.environ["MATPLOTLIBRC"] = str(Path(__file__).resolve().parents[1] / "report" / "dopslam.mplstyle")
+    for name in [name for name in os.environ if name.startswith("NUMBA_") and name not in NUMBA_KEPT]:
+        del os.environ[name]
 
 
 def _handled() -> dict[int, Any]:

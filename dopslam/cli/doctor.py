@@ -23,22 +23,23 @@ _KERNEL = (
 def doctor() -> None:
     """Say what was found: Python, packages, LLVM, GPU, threads, caches. Exit code 1 if nothing can trace."""
     from rich.console import Console
+    from rich.text import Text
 
     from dopslam import llvm
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False)
     for title, rows in (
         ("System", _system()),
         ("Packages", _packages()),
         ("LLVM", _llvm()),
         ("Caches", _caches()),
     ):
-        console.print(f"[bold]{title}[/bold]")
+        console.print(title, style="bold")
         for name, value, good in rows:
-            mark = {True: "[green]✓[/green]", False: "[red]✗[/red]", None: "[dim]·[/dim]"}[good]
-            console.print(f"  {mark} {name:<22} {value}", markup=True)
+            mark, style = {True: ("✓", "green"), False: ("✗", "red"), None: ("·", "dim")}[good]
+            console.print(Text.assemble("  ", (mark, style), f" {name:<22} {value}"))  # paths are no markup
     able, sentence = _verdict()
-    console.print(f"[bold]{'[green]' if able else '[red]'}{sentence}[/][/bold]")
+    console.print(sentence, style="bold green" if able else "bold red")
     if not able:
         console.print(f"Remedy: {llvm.remedy()}")
         sys.exit(1)

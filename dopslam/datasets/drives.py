@@ -8,7 +8,7 @@ that ``[dataset.tracks]`` states; the filter is told its middle and a process no
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def write_drive(parts: Sequence[Part], number: int, path: Path) -> None:
     """
     drives = drives_of(parts)
     if number not in drives:
-        raise DatasetError(f"{parts[0].path}: there is no drive {number}; there are {min(drives)} to {max(drives)}")
+        raise DatasetError(f"{parts[0].path}: there is no drive {number}; there are {_listed(drives)}")
     _write(parts, drives[number], number, path)
 
 
@@ -159,3 +159,15 @@ def _snapshots(places: list[tuple[Part, int, int]]) -> Iterator[np.ndarray]:
     for part, first, last in places:
         for step in range(first, last):
             yield dataset.read_snapshot(part.path, step)
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    """Numbers in words, runs of them as first to last: "1, 4 to 7, 9"."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1][1:] = [number]
+        else:
+            runs.append([number])
+    said = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    return ", ".join(said[:8]) + (", …" if len(said) > 8 else "")

@@ -75,6 +75,7 @@ CONVENTIONS: dict[str, tuple] = {
     "doppler": ("approaching", "receding"),
     "uplink": (False, True),
 }
+OFF_TIME = 0.25  # of a period: a detection farther from every step belongs to none
 
 
 @dataclass(frozen=True)
@@ -257,9 +258,6 @@ def detections(
         false_alarm_rate=float(scenario.source.model.clutter_rate),
         search_volume=unmeasured.volume(metres, missing.any(axis=0)),
     )  # fmt: skip
-
-
-OFF_TIME = 0.25  # of a period: a detection farther from every step belongs to none
 
 
 def _steps(path, get: dict[str, np.ndarray], scenario: Scenario, truth: Track | None) -> np.ndarray:

@@ -21,10 +21,14 @@ TRUE, ESTIMATE, BOUND, VA, SP, RAY, WALL = "#000000", "#0072B2", "#D55E00", "#E6
 _CHI2_95_2D = 5.991  # 95 % ellipse of a two-dimensional Gaussian
 
 
+OF_WINDOWS = ("backend", "interactive", "toolbar", "webagg", "tk.", "macosx")  # settings that draw nothing in a file
+
+
 def house_style():
-    """Context manager with the shipped style."""
+    """Context manager with the shipped style over matplotlib's own defaults, whatever the user's settings are."""
     style = mpl.rc_params_from_file(str(files("dopslam.report") / "dopslam.mplstyle"), use_default_template=False)
-    return mpl.rc_context(style)
+    plain = {key: value for key, value in mpl.rcParamsDefault.items() if not key.startswith(OF_WINDOWS)}
+    return mpl.rc_context(plain | dict(style))
 
 
 def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, enlarged: float) -> None:
