@@ -51,9 +51,7 @@ def import_(
     kind = "traced" if foreign.knows_snr(rule) else "model"
     flags = overrides(settings)
     columns = foreign.read_table(table, list(rule.columns.values()))
-    shown = foreign.period_of(table, rule, columns)
-    if shown is not None and not any(text.replace(" ", "").startswith("track.period=") for text in flags):
-        flags = [*flags, f"track.period={shown!r}"]
+    flags = [*flags, *_told_by(columns, rule, load(scenario, [f"source.kind={kind}", *flags]), flags)]
     world = load(scenario, [f"source.kind={kind}", *flags])
     truth = None
     if track is not None:
@@ -73,3 +71,22 @@ def import_(
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
     )
+
+
+def _told_by(columns, rule, world, flags: list[str]) -> list[str]:
+    """Settings that the time stamps decide: the period, and with it how far the receiver strays in one."""
+    from dopslam.formats.times import period_of
+
+    def given(key: str) -> bool:
+        return any(text.replace(" ", "").startswith(f"track.{key}=") for text in flags)
+
+    if "step" in rule.columns or given("period"):
+        return []
+    shown = period_of(columns[rule.columns["time"]])
+    if shown is None:
+        return []
+    told = [f"track.period={shown!r}"]
+    if not given("process_std"):  # a walk: its variance is in proportion to the time
+        share = (shown / world.track.period) ** 0.5
+        told.append(f"track.process_std={[float(std * share) for std in world.track.process_std]}")
+    return told

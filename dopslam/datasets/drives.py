@@ -19,7 +19,7 @@ from dopslam.config.scenario import Scenario, override
 from dopslam.datasets.parts import Part, scenario_of
 from dopslam.errors import DatasetError
 from dopslam.models.measurement import wrap
-from dopslam.models.motion import CoordinatedTurn, propagate
+from dopslam.models.motion import CoordinatedTurn, paced, propagate
 from dopslam.problem import base_stations
 from dopslam.raytracing.traced import Traced, join
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
@@ -104,35 +104,24 @@ def _of_a_file(track: Track, scenario: Scenario, speed: float) -> dict:
     """Period, mean turn rate and process noise that fit a drive from a file.
 
     The filters' motion model is a coordinated turn of known speed and turn rate, with noise; a drive of one's own is told
-    as the turn nearest to it, with noise as large as its departures (never less than the scenario's).
-
-    Raises
-    ------
-    DatasetError
-        If its times are irregular: the filters need a constant period.
+    as the turn nearest to it, with noise as large as its departures (never less than the scenario's). Its time stamps
+    decide: the period is their median difference, and the filters step by the stamps of the detections.
     """
     gaps = np.diff(track.time)
     if not len(gaps):
         return {}
-    period = float(np.mean(gaps))
-    if np.ptp(gaps) > 0.02 * period:
-        raise DatasetError(
-            f"track file: the times of a drive are {gaps.min():g} to {gaps.max():g} s apart; the filters need a constant "
-            "period: resample it"
-        )
-    turned = wrap(np.diff(track.heading))
-    rate = float(np.mean(turned)) / period
+    period = float(np.median(gaps))
+    if np.ptp(gaps) < 0.02 * period:
+        period = float(np.mean(gaps))
+    pace, turned = gaps / period, wrap(np.diff(track.heading))
+    rate = float(np.sum(turned) / np.sum(gaps))
     model = CoordinatedTurn(period, np.eye(4), speed, rate)
-    predicted = np.array([propagate(state, model) for state in track.state[:-1]])
-    off = np.sqrt(np.mean((track.position[1:, :2] - predicted[:, :2]) ** 2, axis=0))
-    x, y, heading, bias = scenario.track.process_std
-    return {
-        "period": period,
-        "turn_rate": rate,
-        "process_std": [
-            float(max(x, off[0])), float(max(y, off[1])), float(max(heading, np.std(turned))), bias,
-        ],
-    }  # fmt: skip
+    predicted = np.array([propagate(s, paced(model, float(p))) for s, p in zip(track.state[:-1], pace, strict=True)])
+    off = np.sqrt(np.mean((track.position[1:, :2] - predicted[:, :2]) ** 2 / pace[:, None], axis=0))
+    turns = float(np.sqrt(np.mean((turned - rate * gaps) ** 2 / pace)))
+    x, y, heading, bias = np.array(scenario.track.process_std) * np.sqrt(period / scenario.track.period)
+    noise = (max(x, off[0]), max(y, off[1]), max(heading, turns), bias)
+    return {"period": period, "turn_rate": rate, "process_std": [float(v) for v in noise]}
 
 
 def _track(places: list[tuple[Part, int, int]]) -> Track:

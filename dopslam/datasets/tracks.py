@@ -140,13 +140,18 @@ class Tracks:
         row = {name: column[edges[number] : edges[number + 1]] for name, column in self.rows.items()}
         bias = row.get("bias", np.full(len(row["time"]), self.scenario.track.start[3]))
         position = np.column_stack([row["x"], row["y"], row["z"]])
+        velocity = np.column_stack([row["vx"], row["vy"], row["vz"]])
+        # One step before the first: driven back by its own velocity and turn.
+        lead = float(row["time"][1] - row["time"][0]) if len(bias) > 1 else self.scenario.track.period
+        turned = float(wrap(row["heading"][1] - row["heading"][0])) if len(bias) > 1 else 0.0
+        before = position[0, :2] - lead * velocity[0, :2]
         return Track(
             time=row["time"],
             position=position,
             heading=row["heading"],
-            velocity=np.column_stack([row["vx"], row["vy"], row["vz"]]),
+            velocity=velocity,
             bias=bias,
-            start=np.array([*position[0, :2], row["heading"][0], bias[0]]),
+            start=np.array([*before, wrap(row["heading"][0] - turned), bias[0]]),
         )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from dopslam.errors import FilterError
 from dopslam.evaluate.recursion import LinearizedRun, filtering, smoothing
 from dopslam.models.measurement import BS, jacobians, wrap
-from dopslam.models.motion import CoordinatedTurn, transition_jacobian
+from dopslam.models.motion import CoordinatedTurn, paced, transition_jacobian
 from dopslam.records import Track
 from dopslam.simulate.world import FixedNoise, Situation, noise_of, nominal_track
 
@@ -132,6 +132,7 @@ def pcrb(
     height: float = 0.0,
     doppler: bool = True,
     smoothed: bool = False,
+    pace: Array | None = None,
 ) -> Bound:
     """Recursion (17) at given true states.
 
@@ -147,6 +148,7 @@ def pcrb(
     bs : (3,) array
     doppler : bool; False drops the Doppler row
     smoothed : bool; bound every step by the detections of the whole run instead of those up to it
+    pace : (K,) array; time since the step before, in periods of the motion model; default 1
 
     Returns
     -------
@@ -166,11 +168,12 @@ def pcrb(
         states, position, kind, covariance, detected, bs, speed=motion.speed, height=height, doppler=doppler
     )
     free = np.asarray(kind) != BS
+    moves = [paced(motion, float(p)) for p in (np.ones(steps) if pace is None else pace)]
     previous = np.vstack([np.asarray(start, dtype=float), states[:-1]])
     run = LinearizedRun(
         prior=np.asarray(prior_covariance, dtype=float),
-        transition=transition_jacobian(previous, motion),
-        noise=np.broadcast_to(motion.process_noise, (steps, n, n)),
+        transition=np.stack([transition_jacobian(s, m) for s, m in zip(previous, moves, strict=True)]),
+        noise=np.stack([m.process_noise for m in moves]),
         state=aa.sum(axis=1),
         cross=ab[:, free],
         landmark=bb[:, free],

@@ -36,6 +36,7 @@ its columns mean::
     aoa_elevation = 0.0
 
     noise_floor_db = -90.0     # with power: what is subtracted to get the SNR
+    delay_modulo = 2083.3      # in the unit of delay, if delays are known modulo this only (inverse of the pilots' spacing)
 
 A quantity that is neither measured nor assumed gets a variance so wide that it tells nothing, and the volume over
 which false
@@ -55,6 +56,7 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.formats.possible import QUANTITIES, refuse_impossible
+from dopslam.formats.times import snapshots
 from dopslam.models import unmeasured
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 
@@ -89,6 +91,7 @@ class Mapping:
     std: dict[str, float]
     assumed: dict[str, float]
     noise_floor_db: float | None = None
+    delay_modulo: float | None = None
 
 
 def read_mapping(path: str | Path) -> Mapping:
@@ -110,7 +113,7 @@ def read_mapping(path: str | Path) -> Mapping:
         "assumed": list(QUANTITIES),
     }  # fmt: skip
     for section, content in tree.items():
-        if section == "noise_floor_db":
+        if section in ("noise_floor_db", "delay_modulo"):
             continue
         if section not in allowed or not isinstance(content, dict):
             raise DatasetError(f"{path}: unknown section [{section}]; known are {', '.join(allowed)}")
@@ -133,6 +136,9 @@ def read_mapping(path: str | Path) -> Mapping:
     number = isinstance(floor, int | float) and not isinstance(floor, bool)
     if floor is not None and not (number and np.isfinite(floor)):
         raise DatasetError(f"{path}: noise_floor_db = {floor!r}; give a number in dB")
+    modulo = tree.get("delay_modulo")
+    if modulo is not None and not (isinstance(modulo, int | float) and 0 < modulo < np.inf):
+        raise DatasetError(f"{path}: delay_modulo = {modulo!r}; give a positive number in the unit of delay")
     columns = tree.get("columns", {})
     if "power" in columns and floor is None:
         raise DatasetError(
@@ -142,8 +148,12 @@ def read_mapping(path: str | Path) -> Mapping:
         raise DatasetError(f"{path}: [columns] needs time or step, and at least one of {', '.join(QUANTITIES)}")
     return Mapping(
         columns, *(tree.get(s, {}) for s in ("units", "conventions", "offsets", "std", "assumed")),
-        noise_floor_db=floor,
+        noise_floor_db=floor, delay_modulo=modulo,
     )  # fmt: skip
+
+
+def _delay_unit(mapping: Mapping) -> float:
+    return UNITS["delay"][mapping.units.get("delay", "s")]
 
 
 def _units(name: str) -> dict[str, float]:
@@ -214,20 +224,20 @@ def detections(
     ----------
     path : CSV or MATLAB file
     mapping : what its columns mean
-    scenario : its period turns times into steps; carrier and BS yaw are used where needed
+    scenario : its carrier and BS yaw are used where needed
     steps : number of snapshots; default up to the last detection
-    truth : true track; its times count the steps, and AOAs in the world frame need its headings
+    truth : true track; its times are the snapshots', and AOAs in the world frame need its headings
     table : the file's columns where they have been read already
     """
     table = read_table(path, list(mapping.columns.values())) if table is None else table
     get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
-    step = _steps(path, get, scenario, truth)
-    count = steps if steps is not None else int(step.max(initial=-1)) + 1
+    step, time = snapshots(path, get, truth)
+    count = steps if steps is not None else int(step.max(initial=-1)) + 1 if time is None else len(time)
     outside = (step < 0) | (step >= count)
     if outside.any():
         raise DatasetError(
             f"{path}: {int(outside.sum())} rows lie outside the track's {count} steps, the first in data row "
-            f"{int(np.argmax(outside)) + 1} (step {step[np.argmax(outside)]}); give the track of the same drive"
+            f"{int(np.argmax(outside)) + 1}; give the track of the same drive"
         )
     order = np.argsort(step, kind="stable")
     get, step = {name: column[order] for name, column in get.items()}, step[order]
@@ -257,66 +267,8 @@ def detections(
         threshold=float(snr.min(initial=np.inf)) if len(snr) else 1.0,
         false_alarm_rate=float(scenario.source.model.clutter_rate),
         search_volume=unmeasured.volume(metres, missing.any(axis=0)),
+        time=time, delay_range=np.inf if mapping.delay_modulo is None else mapping.delay_modulo * _delay_unit(mapping),
     )  # fmt: skip
-
-
-def _steps(path, get: dict[str, np.ndarray], scenario: Scenario, truth: Track | None) -> np.ndarray:
-    """Step of every row: as given, or by its time from the track's first step, or from the first detection."""
-    if "step" in get:
-        step = get["step"]
-        if np.any(step != np.round(step)) or np.any(step < 0):
-            raise DatasetError(f"{path}: the step column holds numbers that are not whole or below 0")
-        return step.astype(int)
-    time, period = get["time"], scenario.track.period
-    if truth is not None and truth.steps > 1:
-        gaps = np.diff(truth.time)
-        if np.any(np.abs(gaps - period) > 0.02 * period):
-            raise DatasetError(
-                f"{path}: the track's steps are {gaps.min():g} to {gaps.max():g} s apart where the detections' period is "
-                f"{period:g} s; give a track at the times of the detections, or --set track.period=…"
-            )
-    first = float(truth.time[0]) if truth is not None else float(time.min(initial=np.inf))
-    exact = (time - first) / period
-    step = np.round(exact)
-    off = np.abs(exact - step) > OFF_TIME
-    if np.any(np.abs(exact) > 1e7):
-        raise DatasetError(
-            f"{path}: times span {np.ptp(time):g} s, more than 1e7 periods of {period:g} s; check the unit"
-        )
-    if off.any():
-        row = int(np.argmax(off))
-        raise DatasetError(
-            f"{path}: data row {row + 1} at {time[row]:g} s lies between two steps of {period:g} s that begin at "
-            f"{first:g} s; give --set track.period=… as in the data, or a step column"
-        )
-    return step.astype(int)
-
-
-def period_of(path: str | Path, mapping: Mapping, table: dict[str, np.ndarray]) -> float | None:
-    """The period that the time stamps of a table show; None without time stamps or with a single one.
-
-    Raises
-    ------
-    DatasetError
-        If the stamps are no multiples of their smallest difference (to a quarter of it).
-    """
-    if "step" in mapping.columns or "time" not in mapping.columns:
-        return None
-    time = np.unique(table[mapping.columns["time"]])
-    gaps = np.diff(time)
-    gaps = gaps[gaps > 1e-3 * np.median(gaps)] if len(gaps) else gaps
-    if not len(gaps):
-        return None
-    base = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    ratio = gaps / base
-    if np.any(np.abs(ratio - np.round(ratio)) > OFF_TIME):
-        at = int(np.argmax(np.abs(ratio - np.round(ratio))))
-        raise DatasetError(
-            f"{path}: time stamps are irregular ({gaps[at]:g} s apart where others are {base:g} s); the filters need a "
-            "constant period: resample, or give a step column"
-        )
-    whole = np.round(ratio)
-    return float(gaps.sum() / whole.sum())
 
 
 def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:

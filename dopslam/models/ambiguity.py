@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from dopslam.errors import FilterError
-from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
+from dopslam.models.motion import CoordinatedTurn, paced, propagate, transition_jacobian
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
 
 SIGMAS = 5.0  # of the beginning: margin below it
@@ -77,7 +77,7 @@ def _beginnings(detections, prior, motion, station, height) -> Iterator[tuple[fl
     if detections.time is not None and detections.steps > 1:
         gaps[1:] = np.diff(detections.time)
     for gap in gaps:
-        step = replace(motion, interval=float(gap), process_noise=motion.process_noise * gap / motion.interval)
+        step = paced(motion, float(gap) / motion.interval)
         jacobian = transition_jacobian(mean, step)
         mean, covariance = propagate(mean, step), jacobian @ covariance @ jacobian.T + step.process_noise
         sight = float(np.linalg.norm(np.array([*mean[:2], height]) - station))

@@ -7,7 +7,7 @@ state array decides. World frame, heading counted from the x axis; the clock bia
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,13 @@ class CoordinatedTurn:
     def dimension(self) -> int:
         """Number of states, 4 or 6."""
         return self.process_noise.shape[0]
+
+
+def paced(motion: CoordinatedTurn, pace: float) -> CoordinatedTurn:
+    """The motion over `pace` periods: F over that time, and Q as of a walk, in proportion to it."""
+    if pace == 1.0:
+        return motion
+    return replace(motion, interval=motion.interval * pace, process_noise=motion.process_noise * pace)
 
 
 def _speed_and_rate(state: Array, motion: CoordinatedTurn) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 CLUTTER = -1
 LARGEST = np.array([1e9, 1e3, 1e3, 1e3, 1e3, 3e8])  # m, rad, m/s: no measurement or deviation is larger
 LARGEST_SCAN = 2000  # measurements of one step
+REGULAR = 1e-4  # of a period: smaller differences of time stamps are rounding
 DOUBTFUL = 1 | 2  # flags of a close pair and of the edge of view, whose covariances are too small
 WIDENING = 4.0  # of their R
 
@@ -107,6 +108,10 @@ class Scans(Ragged):
                 f"Scans.covariance[{row}] has a variance ≤ 0: {variances[row]}; every component needs noise"
             )
 
+    def pace(self, period: float) -> Array:
+        """(K,) times since the step before, in periods [s] of a motion model."""
+        return np.ones(self.steps) if self.interval is None else np.asarray(self.interval, float) / period
+
     def clutter_intensity(self, doppler: bool) -> float:
         """c(z), expected false measurements per unit volume, with or without the Doppler dimension."""
         return self.clutter_count / (self.search_volume / (1.0 if doppler else self.doppler_span))
@@ -137,8 +142,8 @@ def from_detections(
     minimum_clutter : float
         Least expected number of false paths per scan that is believed.
     period : float or None
-        Time [s] from the prior to the first step; where it and the detections' times are known, the scans carry the
-        interval of every step.
+        Time [s] from the prior to the first step, and between the steps of the motion model; where it and the
+        detections' times are known and differ from it, the scans carry the interval of every step.
     """
     scale = np.array([SPEED_OF_LIGHT, 1.0, 1.0, 1.0, 1.0, 1.0])
     believed = detections.covariance * np.where(detections.flags & DOUBTFUL, WIDENING, 1.0)[:, None, None]
@@ -161,4 +166,7 @@ def from_detections(
 
 
 def _intervals(time: Array | None, period: float | None) -> Array | None:
-    return None if time is None or period is None or not len(time) else np.diff(time, prepend=time[0] - period)
+    if time is None or period is None or not len(time):
+        return None
+    interval = np.diff(time, prepend=time[0] - period)
+    return None if np.all(np.abs(interval - period) < REGULAR * period) else interval

@@ -382,4 +382,5 @@ def bound(
         height=scenario.receiver.height,
         doppler=doppler,
         smoothed=smoothed,
+        pace=scans.pace(problem.motion.interval),
     )

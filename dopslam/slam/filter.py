@@ -85,7 +85,9 @@ class Problem:
             covariance = covariance.copy()
             covariance[[0, 1, 3], [0, 1, 3]] += ambiguity.UNKNOWN**2
         told = ambiguity.unwrapped(detections, (self.mean, covariance), self.motion, self.anchor, self.height)
-        return from_detections(told, bs_yaw=float(self.stations.yaw[0]), doppler_span=2 * self.doppler_limit)
+        return from_detections(
+            told, bs_yaw=float(self.stations.yaw[0]), doppler_span=2 * self.doppler_limit, period=self.motion.interval
+        )
 
     def detection_of(self, scans: Scans) -> DetectionModel:
         """The model of p_D, with the threshold of these detections where it follows their ρ.
@@ -116,12 +118,14 @@ class Capabilities:
     stations : most base stations
     whole_run : whether every step's estimate uses the scans of the whole run, so that the smoothing bound is its own;
         such a filter finds its start from the scans by itself where the problem withholds it
+    intervals : whether it honours times between scans that are not the motion model's period
     """
 
     doppler: bool = True
     states: tuple[int, ...] = (4,)
     stations: int = 1
     whole_run: bool = False
+    intervals: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +207,16 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
     stations = max(len(problem.stations), 1 + int(scans.anchor.max(initial=0)))
     if stations > able.stations:
         raise FilterError(f"{name} knows {able.stations} base station(s), the problem has {stations}")
+    if scans.interval is not None and not able.intervals:
+        raise FilterError(
+            f"{name} steps by the period of the motion model, {problem.motion.interval:g} s, but the scans are "
+            f"{scans.interval.min():g} to {scans.interval.max():g} s apart; choose joint, smoother, marginal or bp, or resample"
+        )
+    if scans.interval is not None and problem.snapshot:
+        raise FilterError(
+            f"a start from the scans alone needs a constant period, but they are {scans.interval.min():g} to "
+            f'{scans.interval.max():g} s apart; give track.start and filter.start = "prior", or resample'
+        )
 
 
 def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:

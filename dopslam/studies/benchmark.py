@@ -33,8 +33,9 @@ def microseconds_per_step(study: Study, repeats: int = 5, seed: int = 0) -> dict
     parameters = chosen.parameters(problem, scans)
     model = compile_model(parameters, world.motion, world.bs, world.height)
     start = initial_density(world.prior_mean, world.prior_covariance)
+    arrays = scan_arrays(scans, parameters.doppler, world.motion.interval)
     calls = {
-        "recursion": lambda: filter_scans(*scan_arrays(scans, parameters.doppler), start, model, np.zeros(1, np.int64)),
+        "recursion": lambda: filter_scans(*arrays, start, model, np.zeros(1, np.int64)),
         "run": lambda: run_filter(problem, scans, chosen),
     }
     result = {}

@@ -120,6 +120,58 @@ def test_without_a_track_the_first_detection_is_the_first_step(tmp_path, drawn, 
     assert dataset.read_record(tmp_path / "d.h5", "detections", DetectionSeries).steps == 20 - late
 
 
+def test_irregular_time_stamps_decide(tmp_path, drawn, call):
+    """A third of the snapshots is missing and the clock of the log is uneven: the filter steps by what the stamps say."""
+    track, table, truth = drawn
+    shift = np.cumsum(np.random.default_rng(8).uniform(0, 0.4, 20)) - 0.2  # s, against the even drive
+    time = track.time + shift
+    place = np.stack([np.interp(time, track.time + shift, track.position[:, i]) for i in range(2)], axis=1)
+    uneven = table | {"t": time[np.searchsorted(track.time, table["t"])]}
+    truth = truth | {"time": time, "x": place[:, 0], "y": place[:, 1]}
+    for more in ([], ["--track", write(tmp_path / "track.csv", truth)]):
+        (tmp_path / "d.h5").unlink(missing_ok=True)
+        assert bring(call, tmp_path, uneven, *more) == 0
+        d = dataset.read_record(tmp_path / "d.h5", "detections", DetectionSeries)
+        assert np.allclose(d.time, time)
+        intervals = build.scans(stages.scenario_of(tmp_path / "d.h5")[0], d).interval
+        assert np.allclose(intervals[1:], np.diff(time))
+
+
+def test_a_period_of_the_stamps_takes_its_share_of_the_process_noise(tmp_path, drawn, call):
+    _, table, _ = drawn
+    assert bring(call, tmp_path, table | {"t": table["t"] / 5}) == 0
+    told = stages.scenario_of(tmp_path / "d.h5")[0].track
+    own = load("ring_road").track
+    assert told.period == pytest.approx(own.period / 5)
+    assert np.allclose(told.process_std, np.array(own.process_std) / np.sqrt(5))
+    assert (
+        build.scans(stages.scenario_of(tmp_path / "d.h5")[0], stages.read_detections(tmp_path / "d.h5")).interval
+        is None
+    )
+
+
+def test_a_detection_between_two_steps_of_the_track_is_refused(tmp_path, drawn, call, capsys):
+    _, table, truth = drawn
+    astray = table | {"t": np.where(np.arange(len(table["t"])) == 40, table["t"] + 0.25, table["t"])}
+    write(tmp_path / "track.csv", truth)
+    assert bring(call, tmp_path, astray, "--track", tmp_path / "track.csv") == 2
+    assert "data row 41 at " in capsys.readouterr().err
+
+
+def test_delays_modulo_a_range_of_another_link(tmp_path, drawn, call):
+    """The mapping says it in the table's unit; the prior says the turn."""
+    _, table, truth = drawn
+    wrapped = table | {"toa": table["toa"] % 700.0}
+    mapping = "delay_modulo = 700.0\n" + MAP
+    assert np.any(table["toa"] > 700.0)
+    assert bring(call, tmp_path, wrapped, "--track", write(tmp_path / "track.csv", truth), mapping=mapping) == 0
+    d = dataset.read_record(tmp_path / "d.h5", "detections", DetectionSeries)
+    assert d.delay_range == pytest.approx(700e-9)
+    lengths = build.scans(stages.scenario_of(tmp_path / "d.h5")[0], d).z[:, 0] / 0.299792458
+    assert np.median(np.abs(lengths - table["toa"])) < 1e-6  # but for false alarms
+    assert bring(call, tmp_path, wrapped, mapping="delay_modulo = -1\n" + MAP) == 2
+
+
 def test_detections_of_another_drive_are_refused(tmp_path, drawn, call, capsys):
     _, table, truth = drawn
     short = {name: column[:12] for name, column in truth.items()}
@@ -222,6 +274,15 @@ def test_a_straight_drive_at_ten_hertz_is_filtered_as_one(tmp_path):
     off = np.linalg.norm(history.mean[:, :2] - track.position[:, :2], axis=1)
     bound = pipeline.bound(told, track, build.model_landmarks(told), None, series)
     assert np.sqrt(np.mean(off**2)) < 2 * np.sqrt(np.mean(bound.peb**2))
+
+
+def test_a_drive_at_irregular_times_is_told_as_it_is(tmp_path):
+    time = np.cumsum([0, 0.1, 0.1, 0.3, 0.1, 0.2, 0.1, 0.1, 0.5, 0.1])
+    path = write(tmp_path / "t.csv", {"time": time, "x": np.full(10, 70.0), "y": 10 * time})
+    world = file_tracks(path)
+    told = drives.told(world, tracks.sampled(world, 0).drive(0)).track
+    assert told.period == pytest.approx(0.1) and told.speed == pytest.approx(10.0)
+    assert max(told.process_std[:2]) < 0.1  # a straight drive at constant speed does not stray
 
 
 @pytest.mark.parametrize("times", [[0, 0.5, 0.4, 1.0], [0, 0.5, 0.5, 1.0]])

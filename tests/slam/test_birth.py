@@ -94,7 +94,7 @@ def births(world, joint, real=(1.0, 1.0), shift=0.0):
     z = measure(state, truth, VA, world.bs, speed=world.motion.speed)
     z[:, 5] += shift
     noise = np.diag((STD / 20) ** 2)
-    scan = Scan(z, np.array([noise, noise]), np.zeros(2), 10, 1e-6)
+    scan = Scan(z, np.array([noise, noise]), np.zeros(2), 10, 1e-6, 1.0)
     model = compile_model(FilterParameters(joint=joint), world.motion, world.bs)
     before = mean.copy()
     pair = np.array([0, 1]), np.array([VA, VA]), np.array([-1, -1])

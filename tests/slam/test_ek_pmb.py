@@ -52,7 +52,7 @@ def one_step(density, scan, model):
     """The recursion over a single scan: posterior, NIS, and the associations of its measurements."""
     offsets = np.array([0, len(scan.z)])
     result = filter_scans(
-        scan.z, scan.covariance, scan.log_snr, offsets, scan.clutter, density, model, np.zeros(1, dtype=np.int64)
+        scan.z, scan.covariance, scan.log_snr, offsets, scan.clutter, np.ones(1), density, model, np.zeros(1, np.int64)
     )
     return result[0], result[9][0], result[7]
 
@@ -72,7 +72,7 @@ def test_reduces_to_the_kalman_filter(world):
     noise = np.diag(world.noise.std**2)
     for state in nominal_track(world)[:10]:
         z = sure_scan(world, state, rng)
-        scan = ek_pmb.Scan(z, np.broadcast_to(noise, (5, 6, 6)).copy(), np.zeros(5), 0, 1e-30)
+        scan = ek_pmb.Scan(z, np.broadcast_to(noise, (5, 6, 6)).copy(), np.zeros(5), 0, 1e-30, 1.0)
         density, nis, track = one_step(density, scan, model)
         f = np.eye(16)
         f[:4, :4] = transition_jacobian(mean[:4], world.motion)
@@ -102,7 +102,7 @@ def test_cubature_is_the_kalman_filter_where_the_model_is_linear(world):
     """With a vanishing spread both linearizations agree."""
     state = nominal_track(world)[0]
     z = sure_scan(world, state, np.random.default_rng(2))
-    scan = ek_pmb.Scan(z, np.broadcast_to(np.diag(world.noise.std**2), (5, 6, 6)).copy(), np.zeros(5), 0, 1e-30)
+    scan = ek_pmb.Scan(z, np.broadcast_to(np.diag(world.noise.std**2), (5, 6, 6)).copy(), np.zeros(5), 0, 1e-30, 1.0)
     small = replace(world, prior_covariance=1e-6 * world.prior_covariance)
     still = replace(world.motion, process_noise=1e-6 * world.motion.process_noise)
     posteriors = []
@@ -270,7 +270,7 @@ def test_wrong_sizes_and_bad_covariances_are_refused(world):
 
 def test_scan_without_doppler_has_five_rows(world):
     _, scans = simulate(world, 0, 9)
-    assert scan_of(scans, 0, False).z.shape[1] == 5
+    assert scan_of(scans, 0, False, world.motion.interval).z.shape[1] == 5
     ratio = scans.clutter_intensity(True) / scans.clutter_intensity(False)
     assert ratio == pytest.approx(1 / scans.doppler_span)
 

@@ -45,7 +45,9 @@ def filtered(density, model, z=(), noise=None, snr=0.0):
     offsets = np.concatenate([[0], np.cumsum([len(scan) for scan in z])]).astype(np.int64)
     covariance = np.broadcast_to(np.eye(6) if noise is None else noise, (len(rows), 6, 6)).copy()
     log_snr = np.full(len(rows), float(snr))
-    return filter_scans(rows, covariance, log_snr, offsets, 1e-9, density, model, np.zeros(1, dtype=np.int64))
+    return filter_scans(
+        rows, covariance, log_snr, offsets, 1e-9, np.ones(len(offsets) - 1), density, model, np.zeros(1, dtype=np.int64)
+    )
 
 
 def test_misses_against_all_histories_of_sight(world):

@@ -177,6 +177,11 @@ def gaussian_start(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     return mean, slope @ root @ slope.T
 
 
+def paced(filter_: RaoBlackwell | Conditional, setup: Setup, pace: float):
+    """The filter whose next step is over ``pace`` periods of the motion."""
+    return filter_ if pace == 1.0 else replace(filter_, motion=setup.motion.paced(float(pace)))
+
+
 def beginning(filter_: RaoBlackwell | Conditional, setup: Setup, rng: np.random.Generator, particles: int):
     """State of the filter before the first scan."""
     if isinstance(filter_, Conditional):
@@ -195,8 +200,8 @@ def slam(scans: Scans, setup: Setup, *, particles: int, rng: np.random.Generator
     filter_ = filter_of(scans, setup, particles=particles)
     state = beginning(filter_, setup, rng, particles)
     estimates = []
-    for scan in scans_of(scans, setup):
-        state, info = filter_.step(rng, state, scan)
+    for pace, scan in zip(scans.pace(setup.motion.interval), scans_of(scans, setup), strict=True):
+        state, info = paced(filter_, setup, pace).step(rng, state, scan)
         estimates.append(common(info.estimate, setup.assumptions.types))
     return history_of_estimates(estimates)
 

@@ -46,7 +46,7 @@ class Belief:
     @property
     def capabilities(self) -> Capabilities:
         """Paper B's measurements have no Doppler, and neither has its form of the features."""
-        return Capabilities(doppler=self.assumptions.features == "conditional")
+        return Capabilities(doppler=self.assumptions.features == "conditional", intervals=True)
 
     def setup(self, problem: Problem) -> Setup:
         """Choices and problem as belief propagation reads them."""
@@ -75,7 +75,8 @@ class Belief:
         if engine is None or beliefs is None:
             engine = adapter.filter_of(scan, setup, particles=self.particles)
             beliefs = adapter.beginning(engine, setup, rng, self.particles)
-        beliefs, info = engine.step(rng, beliefs, adapter.scans_of(scan, setup)[0])
+        pace = float(scan.pace(setup.motion.interval)[0])
+        beliefs, info = adapter.paced(engine, setup, pace).step(rng, beliefs, adapter.scans_of(scan, setup)[0])
         return State(setup, engine, beliefs), Info(adapter.common(info.estimate, setup.assumptions.types))
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:

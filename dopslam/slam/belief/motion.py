@@ -7,7 +7,7 @@ as paper B does, :class:`SpeedHeading` carries it as a state of its own, which s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -59,6 +59,16 @@ class ConstantVelocity:
             x[:, BIAS] + self.bias_walk * noise[:, 3],
         )
 
+    def paced(self, pace: float) -> ConstantVelocity:
+        """The motion over ``pace`` periods: walks grow with the square root of the time."""
+        if pace == 1.0:
+            return self
+        root = float(np.sqrt(pace))
+        return replace(
+            self, interval=self.interval * pace, speed_increment=self.speed_increment * root,
+            vertical_increment=self.vertical_increment * root, bias_walk=self.bias_walk * root,
+        )  # fmt: skip
+
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 7) free coordinates: position, velocity, bias."""
         return x[:, :HEADING]
@@ -108,6 +118,16 @@ class SpeedHeading:
         position[:, 0] += chord * np.cos(middle) + self.position_walk * noise[:, 2]
         position[:, 1] += chord * np.sin(middle) + self.position_walk * noise[:, 3]
         return self._particles(position, new_speed, heading + drift, x[:, BIAS] + self.bias_walk * noise[:, 4])
+
+    def paced(self, pace: float) -> SpeedHeading:
+        """The motion over ``pace`` periods: walks grow with the square root of the time."""
+        if pace == 1.0:
+            return self
+        root = float(np.sqrt(pace))
+        return replace(
+            self, interval=self.interval * pace, speed_walk=self.speed_walk * root, heading_walk=self.heading_walk * root,
+            position_walk=self.position_walk * root, bias_walk=self.bias_walk * root,
+        )  # fmt: skip
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 6) free coordinates: position, speed, heading about its circular mean, bias."""

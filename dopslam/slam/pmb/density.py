@@ -72,7 +72,9 @@ class Scan(NamedTuple):
     covariance : (M, m, m) array
     log_snr : (M,) array; natural log of ρ, zeros where unknown
     first : int; number of the first measurement in the whole run; a track is named by the measurement that
-    bore it clutter : float; clutter intensity c(z)
+    bore it
+    clutter : float; clutter intensity c(z)
+    pace : float; time since the scan before, in periods of the motion model
     """
 
     z: Array
@@ -80,6 +82,7 @@ class Scan(NamedTuple):
     log_snr: Array
     first: int
     clutter: float
+    pace: float
 
 
 class Model(NamedTuple):

@@ -86,14 +86,14 @@ def predict_sight(density, model):
 
 
 @compiled
-def predict(density, model):
-    """UE through eq. (1), r ← p_S r; landmarks are static and the BS always exists."""
+def predict(density, model, pace):
+    """UE through eq. (1) over `pace` periods, r ← p_S r; landmarks are static and the BS always exists."""
     n = ue_size(density)
     size = density.mean.shape[0]
     jacobian = np.empty((n, n))
     mean = density.mean.copy()
     covariance = density.covariance.copy()
-    moved_state = propagate_state(density.mean[:n], model.interval, model.site[4], model.turn_rate, jacobian)
+    moved_state = propagate_state(density.mean[:n], model.interval * pace, model.site[4], model.turn_rate, jacobian)
     copy_vector(moved_state, mean)
     moved = np.zeros((n, size))
     for i in range(n):
@@ -107,7 +107,7 @@ def predict(density, model):
             covariance[i, j] = moved[i, j]
             covariance[j, i] = moved[i, j]
         for j in range(i + 1):
-            value = model.process_noise[i, j]
+            value = pace * model.process_noise[i, j]
             for k in range(n):
                 value += moved[i, k] * jacobian[j, k]
             covariance[i, j] = value
@@ -203,7 +203,7 @@ def step(posterior, scan, model):
     model : Model
     """
     n = ue_size(posterior)
-    prior = predict(posterior, model)
+    prior = predict(posterior, model, scan.pace)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
     distort(prior, local, log_new, model)
@@ -221,13 +221,14 @@ def single_step(posterior, scan, model):
 
 
 @compiled
-def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
+def filter_scans(z, covariance, log_snr, offsets, clutter, pace, density, model, at):
     """The recursion over all scans; `at[0]` holds the step in work, for the message of an error.
 
     Parameters
     ----------
     z, covariance, log_snr : (N, m), (N, m, m), (N,) arrays; scan k owns rows offsets[k]:offsets[k + 1]
     clutter : float; clutter intensity c(z)
+    pace : (K,) array; time since the scan before, in periods of the motion model
     density : PMB before the first scan
     model : Model
     at : (1,) int array
@@ -249,7 +250,7 @@ def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
     for k in range(steps):
         at[0] = k
         first, last = offsets[k], offsets[k + 1]
-        scan = Scan(z[first:last], covariance[first:last], log_snr[first:last], first, clutter)
+        scan = Scan(z[first:last], covariance[first:last], log_snr[first:last], first, clutter, pace[k])
         density, info = step(density, scan, model)
         copy_vector(density.mean[:n], mean[k])
         copy_matrix(density.covariance[:n, :n], spread[k])
@@ -266,9 +267,11 @@ def filter_scans(z, covariance, log_snr, offsets, clutter, density, model, at):
     return density, mean, spread, map_offsets, table[: map_offsets[steps]], weight, count, track, existence, nis, rows
 
 
-def scan_arrays(scans: Scans, doppler: bool) -> tuple[Array, Array, Array, NDArray[np.int64], float]:
-    """Measurements, covariances, ln ρ (zeros where unknown), offsets and clutter intensity of all scans, with or
-    without the Doppler row.
+def scan_arrays(
+    scans: Scans, doppler: bool, period: float
+) -> tuple[Array, Array, Array, NDArray[np.int64], float, Array]:
+    """Measurements, covariances, ln ρ (zeros where unknown), offsets, clutter intensity and pace of all scans, with or
+    without the Doppler row; `period` [s] is the motion model's.
     """
     m = 6 if doppler else 5
     return (
@@ -277,14 +280,15 @@ def scan_arrays(scans: Scans, doppler: bool) -> tuple[Array, Array, Array, NDArr
         np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12)),
         scans.offsets.astype(np.int64),
         scans.clutter_intensity(doppler),
+        scans.pace(period),
     )
 
 
-def scan_of(scans: Scans, k: int, doppler: bool) -> Scan:
+def scan_of(scans: Scans, k: int, doppler: bool, period: float) -> Scan:
     """Scan k in the form the recursion reads, with or without its Doppler row."""
-    z, covariance, log_snr, offsets, clutter = scan_arrays(scans, doppler)
+    z, covariance, log_snr, offsets, clutter, pace = scan_arrays(scans, doppler, period)
     rows = slice(int(offsets[k]), int(offsets[k + 1]))
-    return Scan(z[rows], covariance[rows], log_snr[rows], rows.start, clutter)
+    return Scan(z[rows], covariance[rows], log_snr[rows], rows.start, clutter, float(pace[k]))
 
 
 def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean: Array, covariance: Array) -> None:
@@ -338,7 +342,7 @@ def run(
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
     check_inputs(scans, parameters, model, *prior)
-    arrays, at = scan_arrays(scans, parameters.doppler), np.zeros(1, dtype=np.int64)
+    arrays, at = scan_arrays(scans, parameters.doppler, motion.interval), np.zeros(1, dtype=np.int64)
     try:
         _, mean, covariance, map_offsets, table, weight, count, track, existence, nis, rows = filter_scans(
             *arrays, initial_density(*prior), model, at

@@ -43,7 +43,7 @@ class Joint:
     thinning : reduce the undetected intensity inside the field of view after every scan
     """
 
-    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6))
+    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6), intervals=True)
     largest_order: ClassVar[int | None] = 1  # reflections of a virtual anchor that the map may hold; None: any
     correlated: ClassVar[bool] = True
 
@@ -89,7 +89,7 @@ class Joint:
         problem = state.problem
         model = compile_model(self.parameters(problem, scan), problem.motion, problem.anchor, problem.height)
         ek_pmb.check_inputs(scan, self.parameters(problem, scan), model, problem.mean, problem.covariance)
-        read = ek_pmb.scan_of(scan, 0, self.doppler)._replace(first=state.measurements)
+        read = ek_pmb.scan_of(scan, 0, self.doppler, problem.motion.interval)._replace(first=state.measurements)
         density, told = self._step(state.density, read, model)
         info = Info(estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence)
         return State(problem, density, state.measurements + len(scan.z)), info

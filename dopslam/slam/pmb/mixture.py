@@ -51,7 +51,7 @@ def associate(density, scan, model):
     it.
     """
     n = ue_size(density)
-    prior = predict(density, model)
+    prior = predict(density, model, scan.pace)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
     distort(prior, local, log_new, model)
@@ -132,7 +132,7 @@ def run(
     n = motion.dimension
     means, covariances, tables, infos = [], [], [], []
     for k in range(scans.steps):
-        mixture, info = step(mixture, scan_of(scans, k, parameters.doppler), model, hypotheses)
+        mixture, info = step(mixture, scan_of(scans, k, parameters.doppler, motion.interval), model, hypotheses)
         posterior = merged(mixture)
         means.append(posterior.mean[:n])
         covariances.append(posterior.covariance[:n, :n])

@@ -150,7 +150,7 @@ def candidates(named, offsets, first, k, track, kind, likely, confirmed, tracks,
 
 @compiled
 def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, position, spread, information, start,
-           weight, model, lag, iterations, confirmed):  # fmt: skip
+           weight, pace, model, lag, iterations, confirmed):  # fmt: skip
     """Smooth a whole run; overwrites `position` and `spread` of the map rows that are variables of the window.
 
     Returns
@@ -176,7 +176,7 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
         for row in range(offsets[k], offsets[k + 1]):  # a measurement that bore a track bears its number
             born = chosen[row] == NO_TRACK and find(track[low:high], row) >= 0
             named[row] = row if born else chosen[row]
-        moved = propagate_state(states[-1], model.interval, model.site[4], model.turn_rate, jacobian)
+        moved = propagate_state(states[-1], model.interval * pace[k], model.site[4], model.turn_rate, jacobian)
         states = enlarge(states, states.shape[0] + 1, n)
         copy_vector(moved, states[-1])
         wanted = candidates(
@@ -187,7 +187,20 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
         )
         when, which, rows = active(named, offsets, tracks, first, first, k + 1)
         states, landmarks, covariance, solved = solve_window(
-            information, vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model, iterations
+            information,
+            vector,
+            states,
+            landmarks,
+            kinds,
+            when,
+            which,
+            rows,
+            z,
+            whiteners,
+            weight,
+            pace[first:],
+            model,
+            iterations,
         )
         if not (valid and solved):
             return means, covariances, k
@@ -202,7 +215,20 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
         if states.shape[0] > lag + 1:  # the next state's measurements join the prior, the tail state leaves
             when, which, rows = active(named, offsets, tracks, first, first, first + 1)
             information, vector, _ = build(
-                information, vector, states[:2], landmarks, kinds, when, which, rows, z, whiteners, weight, model, False
+                information,
+                vector,
+                states[:2],
+                landmarks,
+                kinds,
+                when,
+                which,
+                rows,
+                z,
+                whiteners,
+                weight,
+                pace[first:],
+                model,
+                False,
             )
             size = vector.shape[0]
             for i in range(size):  # g + Λ x: the normal equations as seen from the origin
@@ -234,7 +260,7 @@ def run(
     """
     parameters, smoothing = parameters or FilterParameters(), smoothing or SmootherParameters()
     history, diagnostics = ek_pmb.run(scans, prior, motion, bs, parameters, height)
-    z, covariance, _, offsets, _ = ek_pmb.scan_arrays(scans, parameters.doppler)
+    z, covariance, _, offsets, _, pace = ek_pmb.scan_arrays(scans, parameters.doppler, motion.interval)
     chosen = [np.empty(0, dtype=np.int64), *(a[0] for a in diagnostics.associations)]
     position, spread = history.position.copy(), history.position_covariance.copy()
     n = motion.dimension
@@ -252,6 +278,7 @@ def run(
         np.linalg.inv(prior[1] + KNOWN * np.eye(n)),
         np.ascontiguousarray(prior[0], dtype=float),
         np.linalg.inv(motion.process_noise + KNOWN * np.eye(n)),
+        pace,
         compile_model(parameters, motion, bs, height),
         smoothing.lag,
         smoothing.iterations,

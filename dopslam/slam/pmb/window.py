@@ -34,18 +34,20 @@ def cholesky_upper(matrix, size):
 
 
 @compiled
-def add_motion(information, gradient, at, state, following, weight, model, only_cost):
-    """Add ‖s' - f(s)‖² to the normal equations, s at row `at` and s' = `following` after it; returns its cost."""
+def add_motion(information, gradient, at, state, following, weight, pace, model, only_cost):
+    """Add ‖s' - f(s)‖² to the normal equations, s at row `at` and s' = `following` `pace` periods after it; returns its
+    cost.
+    """
     n = state.shape[0]
     jacobian, tied = np.empty((n, n)), np.zeros((n, n))
-    predicted = propagate_state(state, model.interval, model.site[4], model.turn_rate, jacobian)
+    predicted = propagate_state(state, model.interval * pace, model.site[4], model.turn_rate, jacobian)
     cost = 0.0
     for a in range(n):
         pull = 0.0
         for b in range(n):
-            pull += weight[a, b] * (following[b] - predicted[b])
+            pull += weight[a, b] / pace * (following[b] - predicted[b])
             for k in range(n):
-                tied[a, b] += weight[a, k] * jacobian[k, b]
+                tied[a, b] += weight[a, k] / pace * jacobian[k, b]
         cost += pull * (following[a] - predicted[a])
         if not only_cost:
             gradient[at + n + a] -= pull
@@ -59,7 +61,7 @@ def add_motion(information, gradient, at, state, following, weight, model, only_
             for k in range(n):
                 both += jacobian[k, a] * tied[k, b]
             information[at + a, at + b] += both
-            information[at + n + a, at + n + b] += weight[a, b]
+            information[at + n + a, at + n + b] += weight[a, b] / pace
             information[at + n + a, at + b] -= tied[a, b]
             information[at + b, at + n + a] -= tied[a, b]
     return cost
@@ -103,11 +105,12 @@ def add_measurement(information, gradient, at, start, state, landmark, kind, z, 
 
 
 @compiled
-def build(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model,
-          only_cost):  # fmt: skip
+def build(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, pace,
+          model, only_cost):  # fmt: skip
     """Normal equations Λ δ = g of the window for a change δ of (states, landmarks), and the cost there.
 
-    Measurement `rows[f]` of `z` belongs to state `when[f]` and landmark `which[f]` (-1: BS); its whitener L⁻¹ is
+    `pace` (window - 1,) holds the times between the states in periods. Measurement `rows[f]` of `z` belongs to state
+    `when[f]` and landmark `which[f]` (-1: BS); its whitener L⁻¹ is
     whiteners[0, rows[f]], for a second reflection whiteners[1, rows[f]].
     """
     window, n = states.shape
@@ -133,7 +136,7 @@ def build(prior_information, prior_vector, states, landmarks, kinds, when, which
             for j in range(n, inner):
                 information[row, base + j - n] += prior_information[i, j]
     for j in range(window - 1):
-        cost += add_motion(information, gradient, j * n, states[j], states[j + 1], weight, model, only_cost)
+        cost += add_motion(information, gradient, j * n, states[j], states[j + 1], weight, pace[j], model, only_cost)
     nowhere = np.zeros(3)
     for f in range(rows.shape[0]):
         h = which[f]
@@ -184,7 +187,7 @@ def solve_scaled(information, gradient, factor, scale):
 
 @inlined
 def solve_window(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight,
-                 model, iterations):  # fmt: skip
+                 pace, model, iterations):  # fmt: skip
     """Gauss-Newton with halved steps.
 
     Returns
@@ -200,8 +203,8 @@ def solve_window(prior_information, prior_vector, states, landmarks, kinds, when
     factor, scale = np.empty((size, size)), np.empty(size)
     for _ in range(iterations):
         information, gradient, cost = build(
-            prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, model,
-            False,
+            prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight, pace,
+            model, False,
         )  # fmt: skip
         step, valid = solve_scaled(information, gradient, factor, scale)
         if not valid:
@@ -220,7 +223,7 @@ def solve_window(prior_information, prior_vector, states, landmarks, kinds, when
                 break
             _, _, new_cost = build(
                 prior_information, prior_vector, new_states, new_landmarks, kinds, when, which, rows, z, whiteners,
-                weight, model, True,
+                weight, pace, model, True,
             )  # fmt: skip
             if new_cost <= cost:
                 break
