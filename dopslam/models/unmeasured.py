@@ -16,6 +16,18 @@ def deviation(widths: np.ndarray) -> np.ndarray:
     return WIDE * widths / np.sqrt(2 * np.pi)
 
 
+def missing(variance: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """(N, 6) quantities that were not measured, by their variances (N, 6); one that is as wide as what is searched, or
+    wider, tells nothing."""
+    return np.sqrt(variance) > 0.1 * deviation(widths)
+
+
+def planar(variance: np.ndarray) -> bool:
+    """Whether no elevation was measured at all, by the variances (N, 6) of the detections."""
+    widths = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])
+    return bool(len(variance)) and bool(missing(variance, widths)[:, [2, 4]].all())
+
+
 def volume(widths: np.ndarray, missing: np.ndarray) -> float:
     """Volume that false paths spread over; ``missing`` (6,) counts with the width of its own Gaussian."""
     return float(np.prod(np.where(missing, WIDE * widths, widths)))

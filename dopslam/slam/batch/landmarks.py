@@ -110,10 +110,8 @@ def fit(data: Rows, belief: Belief, rows: Index, group: Index, kind: Index, star
     inverse = np.linalg.inv(information)
     evidence = log_density(data, belief, kind) + 0.5 * np.linalg.slogdet(2 * np.pi * inverse)[1]
     evidence += np.bincount(group, np.where(np.isneginf(density), -1e3, density) - data.false[rows], count)
-    ordinary = (
-        np.bincount(group, weight, count) * belief.noise.usual / np.maximum(np.bincount(group, minlength=count), 1)
-    )
-    evidence[ordinary < STEADY] = -np.inf
+    ordinary = np.bincount(group, weight, count) / np.maximum(np.bincount(group, minlength=count), 1)
+    evidence[ordinary < STEADY * belief.noise.weight] = -np.inf
     return Fit(position, inverse, evidence, square)
 
 
@@ -212,7 +210,7 @@ def _promising(data: Rows, belief: Belief, seeds: Index, free: NDArray[np.bool_]
         kinds = np.full(len(seeds), kind)
         position, possible = place(data, seeds, belief.state[data.step[seeds]], kinds)
         own = fit(data, belief, seeds, np.arange(len(seeds)), kinds, position, rounds=2)
-        good = np.flatnonzero(possible & (own.square < GATE * belief.noise.usual))
+        good = np.flatnonzero(possible & (own.square < GATE * max(belief.noise.usual, 1.0)))
         which, other = _neighbors(data, seeds[good], free, window)
         if not len(which):
             continue
@@ -231,7 +229,7 @@ def _promising(data: Rows, belief: Belief, seeds: Index, free: NDArray[np.bool_]
 def _gain(data: Rows, belief: Belief, rows: Index, group: Index, kind: Index, found: Fit) -> Array:
     """log p(z)/c(z) (M,) of detections for fitted landmarks; −inf beyond the gate."""
     density, square, *_ = explain(data, belief, rows, group, kind, found.position, found.covariance)
-    return np.where(square < GATE * belief.noise.usual, density - data.false[rows], -np.inf)
+    return np.where(square < GATE * max(belief.noise.usual, 1.0), density - data.false[rows], -np.inf)
 
 
 def _grow(data: Rows, belief: Belief, free, seed: int, window: int) -> tuple[Map, Index] | None:
@@ -242,7 +240,7 @@ def _grow(data: Rows, belief: Belief, free, seed: int, window: int) -> tuple[Map
         kinds = np.array([kind])
         position, possible = place(data, rows, belief.state[data.step[rows]], kinds)
         own = fit(data, belief, rows, one, kinds, position)
-        if not possible[0] or not own.square[0] < GATE * belief.noise.usual:
+        if not possible[0] or not own.square[0] < GATE * max(belief.noise.usual, 1.0):
             continue
         grown = _gather(data, belief, free, rows, kinds, own, window)
         if grown is not None and grown[0].evidence[0] > evidence:

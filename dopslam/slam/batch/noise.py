@@ -46,8 +46,14 @@ class Scales:
 
     @property
     def usual(self) -> float:
-        """The scale that is met most often."""
-        return float(self.scale[np.argmax(self.share)])
+        """The median of the scales that are met."""
+        order = np.argsort(self.scale)
+        return float(self.scale[order][np.searchsorted(np.cumsum(self.share[order]), 0.5 * self.share.sum())])
+
+    @property
+    def weight(self) -> float:
+        """The mean weight of a detection."""
+        return float(self.share @ (1 / self.scale))
 
     def learned(self, square: Array, rows: Array, strength: float = 2.0) -> Scales:
         """Shares from residuals, by expectation and maximization; a Dirichlet prior of `strength` observations holds

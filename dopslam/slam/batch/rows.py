@@ -1,6 +1,6 @@
 """Detections of a run as rows of a least-squares problem: whitened residuals and Jacobians of `models.measurement`.
 
-A row that was not measured has infinite variance and leaves; so do the two rows of departure of a second
+A row that was not measured leaves; so do the two rows of departure of a second
 reflection. Steps are counted from 0 and poses from the prior's, so that
 step k is seen from pose k + 1.
 """
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dopslam.models import unmeasured
 from dopslam.models.measurement import SP, SR, VA, measure, positions
 from dopslam.models.scans import Scans
 from dopslam.slam.batch.kernels import linearize_rows
@@ -106,21 +107,24 @@ def uniform(spans: Array, used: NDArray[np.bool_]) -> Array:
     return -np.where(used, np.log(spans), 0.0).sum(axis=1)
 
 
-def rows_of(
-    scans: Scans, stations: Array, height: float, speed: float, *, doppler: bool = True, planar: bool = False
-) -> Rows:
-    """Scans as rows; `planar` leaves out the elevations, and without `doppler` the radial velocities stay out."""
+def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppler: bool = True) -> Rows:
+    """Scans as rows; without `doppler` the radial velocities stay out.
+
+    A quantity whose deviation is as wide as what is searched was not measured (:mod:`dopslam.models.unmeasured`). Without
+    any elevation everything lies in the receiver's plane, the base stations too.
+    """
     variance = np.einsum("nii->ni", scans.covariance)
-    used = np.isfinite(variance)
-    used[:, 5] &= doppler
-    if planar:
-        used[:, [2, 4]] = False
-    both = used[:, :, None] & used[:, None, :]
     spans = SPANS.copy()
-    spans[0] = max(scans.search_volume / (scans.doppler_span * (2 * np.pi**2) ** 2), 1e-3)
     spans[5] = scans.doppler_span
+    spans[0] = np.inf  # a delay is measured, always
+    used = ~unmeasured.missing(variance, spans)
+    wide = np.where(used.any(axis=0), 1.0, unmeasured.WIDE)
+    spans[0] = max(scans.search_volume / np.prod(spans[1:] * wide[1:]), 1e-3)
+    used[:, 5] &= doppler
+    both = used[:, :, None] & used[:, None, :]
+    flat = unmeasured.planar(variance)
     stations = np.array(np.atleast_2d(stations), float)
-    if planar:
+    if flat:
         stations[:, 2] = height
     return Rows(
         z=np.where(used, scans.z, 0.0),
@@ -134,7 +138,7 @@ def rows_of(
         speed=speed,
         spans=spans,
         false=np.log(max(scans.clutter_count, THOUGHT_FALSE)) + uniform(spans, used),
-        flat=not used[:, [2, 4]].any(),
+        flat=flat,
     )
 
 

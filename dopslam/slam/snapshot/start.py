@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
+from dopslam.models import unmeasured
 from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
@@ -125,7 +126,7 @@ def start(
     height: float,
     *,
     prior: tuple[Array, Array] | None = None,
-    planar: bool = False,
+    planar: bool | None = None,
     doppler: bool = True,
     search: Search | None = None,
 ) -> Start:
@@ -139,8 +140,8 @@ def start(
     height : float
     prior : mean (n,) and covariance (n, n), or None
         Of speed and turn rate only, where the motion model has them in its state; the pose is found.
-    planar : bool
-        Elevations were not measured.
+    planar : bool or None
+        Elevations were not measured; None: as the variances say.
     search : Search or None
 
     Raises
@@ -149,6 +150,7 @@ def start(
         If no scan tells where the receiver is.
     """
     search = search or Search()
+    planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance)) if planar is None else planar
     n = motion.dimension
     mean, covariance = prior if prior is not None else (np.zeros(n), 100.0 * np.eye(n))
     walk = walk_of(motion, mean, covariance)
