@@ -83,6 +83,11 @@ def measurement_std(scenario: Scenario) -> np.ndarray:
 
 def situation(scenario: Scenario, reading: str = "std") -> Situation:
     """The world of the model source (paper A, Section V)."""
+    if scenario.track.file or scenario.track.waypoints:
+        raise ConfigError(
+            "track.file and track.waypoints say one drive, which is traced; the model source, Monte Carlo studies and datasets "
+            "draw theirs: leave the key out"
+        )
     model, landmarks = scenario.source.model, model_landmarks(scenario)
     mean, covariance = start(scenario, reading)
     return Situation(

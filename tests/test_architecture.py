@@ -73,6 +73,7 @@ FLOORS = [
         "config",
         "generators",
         "plans",
+        "trackfile",
         "store",
         "link",
         "cluster",

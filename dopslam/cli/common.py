@@ -62,7 +62,9 @@ def derived_text(derived: dict[str, dict]) -> str:
     """The values that a scenario left to follow from the others, as a person would have written them."""
 
     def value(v) -> str:
-        return f"[{', '.join(map(value, v))}]" if isinstance(v, tuple | list) else f"{v:.6g}"
+        return (
+            f"[{', '.join(map(value, v))}]" if isinstance(v, tuple | list) else v if isinstance(v, str) else f"{v:.6g}"
+        )
 
     return ", ".join(f"{section}.{key} = {value(v)}" for section, keys in derived.items() for key, v in keys.items())
 

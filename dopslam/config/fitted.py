@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dopslam.config.scenario import Scenario
+    from dopslam.trackfile import Drive
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s; dopslam.records has it too, but needs NumPy, which --help does without
 # Up to a carrier [Hz]: bandwidth and subcarrier spacing [Hz] that are usual there (3GPP FR1, FR2-1, FR2-2).
@@ -25,24 +26,33 @@ CLOCK = 0.05  # m/√s, walk of a clock
 TURN, TURN_TIMES_SPEED = 0.01, 0.02  # rad/√s; m/√s³: a walker turns more freely than a car
 UNKNOWN = {"intensity_va": 8.0, "intensity_sp": 80.0}  # landmarks within the farthest distance of the drive
 SMALLEST_SPACE = 3.0  # m
+WALKING = 3.0  # m/s, the fastest walk
 
 
-def fitted(scenario: Scenario) -> dict[str, Any]:
-    """Values, by section and key, of what a scenario leaves open; ``model_fields_set`` tells what it gives."""
+def fitted(scenario: Scenario, drive: Drive | None = None) -> dict[str, Any]:
+    """Values, by section and key, of what a scenario leaves open; ``model_fields_set`` tells what it gives.
+
+    ``drive`` is its own, if it has one: how far it goes and its largest speed count; its turns and stops the filter does not
+    know, only how sharply such a receiver can turn and accelerate.
+    """
+    far = reach(scenario, drive)
+    speed = scenario.track.speed if drive is None else float(abs(drive.speed).max())
     found = {
-        "radio": _radio(scenario),
-        "track": _track(scenario),
-        "estimator": {"max_radial_velocity": _largest_speed(scenario)},
-        "filter": _filter(scenario),
+        "radio": _radio(scenario, far),
+        "track": _track(scenario, speed),
+        "estimator": {"max_radial_velocity": float(round(max(1.25 * speed, speed + 1.5), 3))},
+        "filter": _filter(far) | ({} if drive is None else _agility(scenario, speed)),
     }
     given = {name: getattr(scenario, name).model_fields_set for name in found}
     kept = {name: {k: v for k, v in keys.items() if k not in given[name]} for name, keys in found.items()}
     return {name: keys for name, keys in kept.items() if keys}
 
 
-def reach(scenario: Scenario) -> float:
-    """Farthest distance [m] between base station and receiver on the nominal drive."""
+def reach(scenario: Scenario, drive: Drive | None = None) -> float:
+    """Farthest distance [m] between base station and receiver on the nominal drive, or on its own."""
     track, station = scenario.track, scenario.base_station.position
+    if drive is not None:
+        return max(SMALLEST_SPACE, *(math.dist(place, station) for place in drive.position.tolist()))
     x, y, heading, _ = track.start
     farthest = 0.0
     for step in range(0, track.steps + 1, max(1, track.steps // 50)):
@@ -54,14 +64,14 @@ def reach(scenario: Scenario) -> float:
     return max(farthest, SMALLEST_SPACE)
 
 
-def _radio(scenario: Scenario) -> dict[str, Any]:
+def _radio(scenario: Scenario, far: float) -> dict[str, Any]:
     """Pilots as far apart as the longest delay allows: the power is shared by all of them, so more would tell no more."""
     radio, track = scenario.radio, scenario.track
     given = radio.model_fields_set
     usual = next(row for row in USUAL if radio.carrier_frequency <= row[0])
     spacing = radio.subcarrier_spacing if "subcarrier_spacing" in given else usual[2]
     bandwidth = radio.bandwidth or usual[1]
-    longest = (2 + 2 * scenario.trace.max_depth) * reach(scenario) + MARGIN
+    longest = (2 + 2 * scenario.trace.max_depth) * far + MARGIN
     longest += abs(track.start[3]) + 3 * track.start_std[3]
     if "comb" in given:
         comb = radio.comb
@@ -79,19 +89,28 @@ def _radio(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _largest_speed(scenario: Scenario) -> float:
-    """A path's Doppler says at most the receiver's own speed, and a margin for what is not known of it [m/s]."""
-    return float(round(max(1.25 * scenario.track.speed, scenario.track.speed + 1.5), 3))
-
-
-def _track(scenario: Scenario) -> dict[str, Any]:
-    track = scenario.track
-    time = math.sqrt(track.period)
-    aside = max(1e-3, STRAY * track.speed * track.period)
-    turn = min(TURN, TURN_TIMES_SPEED / track.speed if track.speed else TURN) * time
+def _track(scenario: Scenario, speed: float) -> dict[str, Any]:
+    period = scenario.track.period
+    time = math.sqrt(period)
+    aside = max(1e-3, STRAY * speed * period)
+    turn = min(TURN, TURN_TIMES_SPEED / speed if speed else TURN) * time
     return {"process_std": tuple(float(f"{v:.3g}") for v in (aside, aside, turn, CLOCK * time))}
 
 
-def _filter(scenario: Scenario) -> dict[str, Any]:
-    space = 4 / 3 * math.pi * reach(scenario) ** 3
+def _agility(scenario: Scenario, speed: float) -> dict[str, Any]:
+    """Speed and turn rate are unknown: they walk as far in a step as the sharpest maneuver takes them in half of it."""
+    track, car = scenario.track, speed > WALKING
+    acceleration = track.max_acceleration or (3.0 if car else 1.5)
+    turn = track.max_turn_rate or (0.6 if car else 1.5)
+    return {
+        "motion": "unknown",
+        "speed_std": max(0.1, 0.2 * speed),
+        "turn_rate_std": 0.5 * turn,
+        "speed_walk": 0.5 * acceleration * track.period,
+        "turn_rate_walk": 0.5 * turn * track.period,  # as if it were reached within a second
+    }
+
+
+def _filter(far: float) -> dict[str, Any]:
+    space = 4 / 3 * math.pi * far**3
     return {name: float(f"{count / space:.3g}") for name, count in UNKNOWN.items()}

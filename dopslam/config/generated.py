@@ -24,7 +24,7 @@ def filled(tree: dict) -> dict:
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"scene.seed = {seed!r}: give a whole number from 0")
     made = generated(kind, seed, scene.get("options"), tree).keys
-    return _under(tree, {"name": f"{kind}_{seed}", **made})
+    return under(tree, {"name": f"{kind}_{seed}", **made})
 
 
 def generated(kind: str, seed: int, options: Any, tree: dict):
@@ -37,10 +37,11 @@ def generated(kind: str, seed: int, options: Any, tree: dict):
     return generate(kind, seed, options if isinstance(options, dict) else None, float(carrier) if known else None)
 
 
-def _under(given: Any, made: Any) -> Any:
+def under(given: Any, made: Any) -> Any:
+    """What is given, completed by what is made."""
     if not isinstance(given, dict) or not isinstance(made, dict):
         return given
     mixed = {
-        key: _under(given[key], value) if key in given and key not in WHOLE else value for key, value in made.items()
+        key: under(given[key], value) if key in given and key not in WHOLE else value for key, value in made.items()
     }
     return mixed | {key: value for key, value in given.items() if key not in made or key in WHOLE}

@@ -19,33 +19,30 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator, model
 from dopslam.config import sizes
 from dopslam.config.arrays import ArrayConfig
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
+from dopslam.config.driven import driven
 from dopslam.config.drives import DatasetConfig
 from dopslam.config.fitted import fitted
 from dopslam.config.generated import filled
 from dopslam.config.sentences import sentence
+from dopslam.config.track import TrackConfig
 from dopslam.config.types import (
     Chance,
     Coordinate,
     Count,
     Decibel,
-    Deviation,
     Few,
     Frozen,
     Hertz,
     NonNegative,
     Positive,
     Probability,
-    Rate,
     Seconds,
     Seed,
-    Speed,
     Vector3,
-    Vector4,
 )
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
 
-Deviations = tuple[Deviation, Deviation, Deviation, Deviation]
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 
@@ -118,28 +115,6 @@ class Radio(Frozen):
                 f"{self.subcarrier_spacing:g} Hz, span {spanned:.4g} Hz; give the one or the others"
             )
         return self
-
-
-class TrackConfig(Frozen):
-    """Coordinated turn of paper A, eq. (1); a turn rate of zero is a straight line."""
-
-    speed: Speed  # m/s
-    turn_rate: Rate = 0.0  # rad/s
-    period: Seconds = 0.5  # s
-    steps: Count = 40
-    start: Vector4  # x m, y m, heading rad, clock bias m: mean of the receiver's initial knowledge
-    start_std: Deviations = (0.3, 0.3, 0.0052, 0.3)
-    process_std: Deviations = (0.2, 0.2, 0.001, 0.2)  # per step
-    random: bool = True  # draw start and process noise; False: exactly the nominal track
-
-    @field_validator("start", mode="before")
-    @classmethod
-    def _a_world_starts_somewhere(cls, value):
-        if value == "snapshot":
-            raise ValueError(
-                'tracing and simulation start here too; to keep it from the filter set filter.start="snapshot"'
-            )
-        return value
 
 
 class ScatterPoint(Frozen):
@@ -362,10 +337,10 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
         raise ConfigError(f"{source}: not valid TOML: {error}") from error
     for override in overrides:
         _apply(tree, override)
-    tree = filled(tree)
+    tree, drive = driven(filled(tree), folder)
     try:
         given = Scenario.model_validate(tree)
-        derived = fitted(given)
+        derived = fitted(given, drive)
         full = {k: getattr(given, k).model_copy(update=v) for k, v in derived.items()}
         scenario = Scenario.model_validate(given.model_copy(update=full).model_dump()) if full else given
     except ValidationError as error:

@@ -7,7 +7,6 @@ frame [m], headings [rad], speeds [m/s]; the clock bias walks as in eq. (1) of p
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Component
 from dopslam.records import Track
 from dopslam.simulate import world as simulate_module
+from dopslam.trackfile import STANDING, course_held, read_rows, rising
 
 TRIES = 20_000  # random starts before a polygon counts as too narrow
 TURNS = np.linspace(-1, 1, 41)  # turn rates that a drive chooses from, over the largest
@@ -274,44 +274,16 @@ def track_file(scenario: Scenario) -> Path | None:
 def _read(scenario: Scenario, config: FileTracks) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
     path = track_file(scenario)
     assert path is not None
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            header, *lines = [line for line in csv.reader(file) if line and not line[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
-        raise ConfigError(
-            f"dataset.tracks.file = {config.file!r}: cannot be read as CSV with a header ({error})"
-        ) from error
-    names = [name.strip() for name in header]
-    known = ("time", "x", "y", "z", "heading", "vx", "vy", "vz", "bias", "drive")
-    if not {"time", "x", "y"} <= set(names) or not set(names) <= set(known) or not lines:
-        raise ConfigError(
-            f"{path}: columns are {', '.join(names)}; needed are time, x, y and rows, known are {', '.join(known)}"
-        )
-    try:
-        table = np.array(lines, dtype=float)
-        if table.shape[1] != len(names) or len(set(names)) < len(names):
-            raise ValueError(f"{len(names)} columns named, {table.shape[1]} found, or a name twice")
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}; every row needs {len(names)} numbers") from error
-    if not np.all(np.isfinite(table)):
-        row = int(np.argmin(np.isfinite(table).all(axis=1)))
-        raise ConfigError(f"{path}: data row {row + 1} holds a non-finite number; remove it")
-    rows = dict(zip(names, table.T, strict=True))
-    drive = rows.pop("drive", np.zeros(len(table)))
+    rows = read_rows(path, "dataset.tracks.file")
+    count = len(rows["time"])
+    drive = rows.pop("drive", np.zeros(count))
     edges = np.flatnonzero(np.diff(drive)) + 1
     ids = drive[np.concatenate([[0], edges])]
     if len(np.unique(ids)) < len(ids) or np.any(ids != np.round(ids)) or np.any(ids < 0) or np.any(ids > 1e9):
         raise ConfigError(f"{path}: drives are whole numbers from 0, the rows of each together; got {ids.tolist()[:6]}")
     for part in np.split(rows["time"], edges):
-        if np.any(np.diff(part) <= 0):
-            at = int(np.argmax(np.diff(part) <= 0)) + 1
-            raise ConfigError(
-                f"{path}: time must rise within a drive, but {part[at]:g} s follows {part[at - 1]:g} s; sort or clean it"
-            )
-    if np.any(np.abs(table) > 1e9):
-        row = int(np.argmax((np.abs(table) > 1e9).any(axis=1)))
-        raise ConfigError(f"{path}: data row {row + 1} holds a number beyond 1e9; check its unit")
-    return np.diff([0, *edges, len(table)]), _completed(rows, edges, scenario), ids.astype(np.int64)
+        rising(path, part)
+    return np.diff([0, *edges, count]), _completed(rows, edges, scenario), ids.astype(np.int64)
 
 
 def _completed(rows: dict[str, np.ndarray], edges: np.ndarray, scenario: Scenario) -> dict[str, np.ndarray]:
@@ -325,20 +297,9 @@ def _completed(rows: dict[str, np.ndarray], edges: np.ndarray, scenario: Scenari
         course = np.arctan2(rows["vy"], rows["vx"])
         moving = np.hypot(rows["vx"], rows["vy"]) > STANDING
         rows["heading"] = np.concatenate(
-            [_held(*part) for part in zip(np.split(course, edges), np.split(moving, edges), strict=True)]
+            [course_held(*part) for part in zip(np.split(course, edges), np.split(moving, edges), strict=True)]
         )
     return rows
-
-
-STANDING = 1e-3  # m/s; slower than this a receiver has no course
-
-
-def _held(course: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Headings of a drive: the course where it moves, the last one where it stands (before the first move, that of it)."""
-    if not moving.any():
-        return np.zeros(len(course))
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(course)), -1))
-    return course[np.where(last < 0, int(np.argmax(moving)), last)]
 
 
 def _rate(place: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from dopslam.evaluate.run import true_association
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure, seen_noise
 from dopslam.models.scans import CLUTTER
+from dopslam.pipeline.own import own_track
 from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
@@ -53,7 +54,9 @@ class Truth:
 
 
 def draw_track(scenario: Scenario, seed: int) -> Track:
-    """The receiver's true track: drawn from the motion model, eq. (1), or exactly its mean."""
+    """The receiver's true track: its own drive, or drawn from the motion model, eq. (1), or exactly its mean."""
+    if scenario.track.file or scenario.track.waypoints:
+        return own_track(scenario, seed)
     config, world = scenario.track, build.situation(scenario)
     if config.random:
         state = simulate_module.draw_track(world, generator(seed, Component.TRACK))
