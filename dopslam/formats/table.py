@@ -77,7 +77,6 @@ CONVENTIONS: dict[str, tuple] = {
     "doppler": ("approaching", "receding"),
     "uplink": (False, True),
 }
-OFF_TIME = 0.25  # of a period: a detection farther from every step belongs to none
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,8 @@ def _distances(
 ) -> tuple[Array, Array]:
     """Squared Mahalanobis distances (M, 1 + L) to base station and landmarks, and (M,) those of the angles to the former."""
     before = history.rows(k - 1) if k else slice(0, 0)
-    declared = history.existence[before] > DECLARED
+    # A landmark whose departure is free explains anything that comes again, from whatever wrong place.
+    declared = (history.existence[before] > DECLARED) & (history.kind[before] <= SP)
     position = np.vstack([station[None], history.position[before][declared]])
     kind = np.concatenate([[BS], history.kind[before][declared]])
     spread = np.concatenate([np.zeros((1, 3, 3)), history.position_covariance[before][declared]])
@@ -95,7 +96,6 @@ def _distances(
     own = by_state @ history.covariance[k] @ by_state.swapaxes(-1, -2) + by_landmark @ spread @ by_landmark.swapaxes(
         -1, -2
     )
-    own[kind > SP, 3:, 3:] += (2 * np.pi) ** 2 * np.eye(2)  # kinds whose departure nothing explains
     off = residual(z[:, None], predicted[None])[..., :ROWS]
     total = own[None] + covariance[:, None, :ROWS, :ROWS]
     total = 0.5 * (total + total.swapaxes(-1, -2))

@@ -248,7 +248,7 @@ def read_record(path: str | Path, group: str, record_type: type[Record]) -> Reco
 def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Record]) -> Record:
     if group not in file:
         have = ", ".join(sorted(file)) or "nothing"
-        raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); run the stage that makes it first")
+        raise DatasetError(f"{path}: holds no {group!r} (it holds {have}); {remedy(path, group, set(file))}")
     node = file[group]
     if not isinstance(node, h5py.Group):
         raise DatasetError(f"{path}: {group!r} is a single array where a group is expected; it is no record")
@@ -289,7 +289,9 @@ def read_root(path: str | Path) -> tuple[str, int]:
     """The scenario as TOML text and the seed that a dataset was made with."""
     with _reading(Path(path)) as file:
         if "scenario" not in file.attrs:
-            raise DatasetError(f"{path}: holds no scenario; name one with --scenario")
+            raise DatasetError(
+                f"{path}: holds no scenario; write the text of a scenario.toml into the attribute 'scenario' of the file's root"
+            )
         if "root_sha256" in file.attrs and plain(file.attrs["root_sha256"]) != _root_digest(file):
             raise DatasetError(f"{path}: scenario or seed do not match their checksum; the file is damaged")
         return str(plain(file.attrs["scenario"])), int(file.attrs.get("seed", 0))

@@ -160,6 +160,21 @@ EARLIER: dict[tuple[str, str], tuple[str, Callable[[np.ndarray], Any]]] = {
 }
 
 
+def remedy(path, group: str, have: set[str]) -> str:
+    """What makes a group that is not there, given those that are."""
+    if group in ("track", "landmarks") and "detections" in have:
+        return "bring the true track along: dopslam import TABLE … --track TRACK.csv"
+    if group == "detections" and have & {"paths", "signal"}:
+        return f"run 'dopslam estimate {path}' first"
+    if group == "detections":
+        return "make them with 'dopslam trace' and 'dopslam estimate', draw them with 'dopslam simulate', or bring your own with 'dopslam import'"
+    if group.startswith("slam_"):
+        return f"run 'dopslam slam {path}' first"
+    if group.startswith("bound_"):
+        return f"run 'dopslam bound {path}' first"
+    return "only a traced scene has it: begin with 'dopslam trace SCENE --out FILE'"
+
+
 def unit_of(record: str, name: str) -> str:
     """Unit of an array of a record."""
     return UNITS.get((record, name), UNITS.get(name, "1"))
