@@ -1,25 +1,16 @@
 """``import dopslam as ds``: the names, that they cost nothing, and the lines of the README as printed."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dopslam as ds
 
-TWELVE = """
-import dopslam as ds
-scenario = ds.load("ring_road", set=["trace.max_depth=2"{short}])
-truth = ds.trace(scenario, seed=0)
-detections = ds.estimate(scenario, ds.synthesize(scenario, truth, seed=0))
-problem = ds.problem(scenario)
-joint = ds.slam(problem, detections, ds.filters.Joint(iterations=3))
-belief = ds.slam(problem, detections, ds.filters.Belief(particles=1000), seed=0)
-bound = ds.bound(problem, truth, detections)
-print(ds.evaluate(truth, bound, joint=joint, belief=belief))
-study = ds.montecarlo(ds.world(scenario), problem, {{"joint": ds.filters.Joint(), "bp": ds.filters.Belief()}}, runs={runs})
-"""
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_every_public_name_is_there():
@@ -57,6 +48,30 @@ def test_a_simulated_run_in_memory():
 
 
 @pytest.mark.rt
-def test_the_twelve_lines_run_as_printed(capsys):
-    exec(TWELVE.format(short=', "track.steps=4"', runs=2), {})
+def test_the_lines_of_the_readme_run_as_printed(capsys):
+    """As printed but shorter: a track of four steps, two runs."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = text.partition("```python\n")[2].partition("```")[0]
+    assert lines.count("\n") <= 12
+    lines = lines.replace('max_depth=2"]', 'max_depth=2", "track.steps=4"]').replace("runs=100", "runs=2")
+    exec(lines, {})
     assert "belief" in capsys.readouterr().out
+
+
+@pytest.mark.rt
+@pytest.mark.timeout(600)
+def test_the_tour_runs():
+    done = subprocess.run([sys.executable, ROOT / "scripts" / "tour.py"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "sight" in done.stdout and "my room" in done.stdout
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 850
+
+
+def test_links_of_the_documentation_lead_somewhere():
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    for page in pages:
+        for target in re.findall(r"\]\((?!http|#)([^)#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
