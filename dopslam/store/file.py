@@ -35,6 +35,7 @@ from dopslam.store.schema import (
     fault_of,
     is_scale,
     plain,
+    remedy,
     set_text,
     unit_of,
 )
