@@ -44,3 +44,14 @@ def test_importing_the_room_or_listing_scenes_does_not_import_the_ray_tracer():
     )
     subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": ":".join(sys.path)})
     assert builtin_scenes()["munich"].is_file()
+
+
+def test_too_little_address_space_is_said_before_the_tracer_dies_of_it(monkeypatch):
+    from dopslam.errors import LLVMError
+    from dopslam.raytracing import backend
+
+    monkeypatch.setattr(backend.resource, "getrlimit", lambda _: (900_000 * 1024, -1))
+    with pytest.raises(LLVMError, match=r"limited to 0\.9 GB \(ulimit -v\)"):
+        backend._refuse_little_room()
+    monkeypatch.setattr(backend.resource, "getrlimit", lambda _: (backend.resource.RLIM_INFINITY, -1))
+    backend._refuse_little_room()
