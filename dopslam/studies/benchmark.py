@@ -77,21 +77,38 @@ def dense_scene() -> Situation:
     return replace(world, noise=replace(section_v().noise, sp_range=50.0))
 
 
-def growth(repeats: int = 3) -> dict[str, Any]:
-    """Time per step over 8-64 landmarks (8 detections) and 5-40 detections (64 landmarks), with exponents."""
+STEPS = 12  # of the runs that growth is measured on: enough to fill the map
+LANDMARKS, DETECTIONS, CLUTTER = (8, 16, 32, 64, 128, 160), (5, 10, 20, 40), (25, 50, 100, 200, 400)
+
+
+def cluttered(count: float) -> Situation:
+    """Paper A's road with 8 landmarks and on average `count` false detections per step, spread over 300 m."""
+    return replace(crowded(8), clutter_count=count)
+
+
+def exponents(sizes, times) -> list[float]:
+    """Exponent of growth between each size and the next: 1 where twice the size takes twice the time."""
+    return (np.diff(np.log(times)) / np.diff(np.log(sizes))).tolist()
+
+
+def growth(
+    repeats: int = 3, landmarks=LANDMARKS, detections=DETECTIONS, clutter=CLUTTER, steps: int = STEPS
+) -> dict[str, Any]:
+    """Time per step [µs] over landmarks (8 detections), detections (64 landmarks) and false detections (8 landmarks).
+
+    Each with the exponents from one size to the next.
+    """
 
     def measured(world: Situation) -> float:
-        return microseconds_per_step(Study(world, Joint(iterations=2)), repeats)["recursion"]
+        return microseconds_per_step(Study(replace(world, steps=steps), Joint(iterations=2)), repeats)["recursion"]
 
-    landmarks, detections = [8, 16, 32, 64], [5, 10, 20, 40]
-    over_landmarks = [measured(crowded(n, 8)) for n in landmarks]
-    over_detections = [measured(crowded(64, m)) for m in detections]
+    def table(sizes, world_of) -> dict[str, Any]:
+        times = [measured(world_of(size)) for size in sizes]
+        return {"sizes": list(sizes), "us_per_step": times, "exponents": exponents(sizes, times)}
+
     return {
-        "landmarks": landmarks,
-        "over_landmarks_us": over_landmarks,
-        "landmark_exponent": float(np.polyfit(np.log(landmarks), np.log(over_landmarks), 1)[0]),
-        "detections": detections,
-        "over_detections_us": over_detections,
-        "detection_exponent": float(np.polyfit(np.log(detections), np.log(over_detections), 1)[0]),
+        "landmarks": table(landmarks, lambda n: crowded(n, 8)),
+        "detections": table(detections, lambda m: crowded(64, m)),
+        "clutter": table(clutter, cluttered),
         "dense_scene_us": measured(dense_scene()),
     }
