@@ -1,7 +1,8 @@
 """The whole-run smoother as an entry of the table of filters: its starts, and its result as a history.
 
 It starts from the joint filter, or from the snapshots where nothing is told of the start, the filter fails, or leaves too
-much of the detections unexplained; of two results the one with more evidence counts. Every step's estimate uses the
+much of the detections unexplained, and from the surest windows of the run outwards where the snapshots explain little
+as well; of several results the one with most evidence counts. Every step's estimate uses the
 scans of the whole run: it is to be compared with the smoothing bound.
 """
 
@@ -14,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
+from dopslam.models import unmeasured
 from dopslam.models.measurement import BS
 from dopslam.models.scans import Scans
 from dopslam.records import edges_of
+from dopslam.slam.batch.grow import Locate, grow
 from dopslam.slam.batch.rows import Map, Rows, rows_of
 from dopslam.slam.batch.smoother import Choices, Smoothed, smooth
 from dopslam.slam.batch.track import KNOWN, Chain
@@ -25,11 +28,14 @@ from dopslam.slam.history import TYPES, Diagnostics, Estimate, History
 from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
 from dopslam.slam.pmb.filters import Joint
 from dopslam.slam.snapshot import start as snapshot
+from dopslam.slam.snapshot.candidates import Prior
+from dopslam.slam.snapshot.locate import Search, find_modes
 
 Array = NDArray[np.float64]
 
 POSE = 4  # entries of a state that a snapshot tells
 ENOUGH = 0.8  # share of the detections that a good start explains
+PLENTY = 0.95  # share from which the chain of snapshots is not doubted
 REPORTED = 0.5  # existence from which a filter's landmark is tried
 
 
@@ -95,8 +101,11 @@ class Batch:
             try:
                 state, covariance = _located(problem, scans, self.doppler)
                 mean = state[0] if problem.snapshot else problem.mean
-                other = smooth(data, Chain(motion, np.asarray(mean, float), information), state, covariance, choices)
-                result = other if result is None or other.score > result.score else result
+                chain = Chain(motion, np.asarray(mean, float), information)
+                others = [smooth(data, chain, state, covariance, choices)]
+                if np.mean(others[0].owner >= 0) < PLENTY:
+                    others.append(grow(data, chain, state, covariance, choices, _locator(problem, scans, self.doppler)))
+                result = max([r for r in (result, *others) if r is not None], key=lambda r: r.score)
             except FilterError as error:
                 if result is None:
                     raise failure or error from error
@@ -126,6 +135,22 @@ def _located(problem: Problem, scans: Scans, doppler: bool) -> tuple[Array, Arra
     state[0, :POSE], state[1:, :POSE] = found.mean[:POSE], found.chain.mean
     covariance[0, :POSE, :POSE], covariance[1:, :POSE, :POSE] = found.covariance[:POSE, :POSE], found.chain.covariance
     return state, covariance + KNOWN * np.eye(n)
+
+
+def _locator(problem: Problem, scans: Scans, doppler: bool) -> Locate:
+    """How a scan is located with what is predicted for it."""
+    search = Search(refined=60, iterations=10)
+    planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance))
+
+    def locate(step: int, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        rays = snapshot.rays_of(scans, step, problem.anchor, problem.height, planar, doppler)
+        modes = find_modes(rays, Prior(mean[:POSE], covariance[:POSE, :POSE]), search)
+        state, spread = np.tile(mean, (len(modes), 1)), np.tile(covariance, (len(modes), 1, 1))
+        spread[:, :POSE, POSE:], spread[:, POSE:, :POSE] = 0.0, 0.0
+        state[:, :POSE], spread[:, :POSE, :POSE] = modes.pose, modes.covariance
+        return state, spread
+
+    return locate
 
 
 def _history(data: Rows, result: Smoothed) -> History:

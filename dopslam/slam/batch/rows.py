@@ -7,7 +7,7 @@ step k is seen from pose k + 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -139,6 +139,21 @@ def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppl
         spans=spans,
         false=np.log(max(scans.clutter_count, THOUGHT_FALSE)) + uniform(spans, used),
         flat=flat,
+    )
+
+
+def part(data: Rows, low: int, high: int) -> Rows:
+    """Scans low … high − 1 alone."""
+    rows = slice(int(data.offsets[low]), int(data.offsets[high]))
+    return replace(
+        data,
+        z=data.z[rows],
+        covariance=data.covariance[rows],
+        used=data.used[rows],
+        step=data.step[rows] - low,
+        offsets=data.offsets[low : high + 1] - data.offsets[low],
+        station=data.station[rows],
+        false=data.false[rows],
     )
 
 

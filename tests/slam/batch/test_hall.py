@@ -52,10 +52,13 @@ def test_no_elevation_and_no_doppler_are_missing_rows_in_the_plane(hall):
     assert not unmeasured.planar(np.full((3, 6), 0.01))
 
 
+@pytest.mark.mc
 def test_batch_finds_the_walk_and_the_hall_from_nothing(hall):
-    result = judged(4, Batch())
+    result = judged(4, Batch(), 16)
     assert not result.lost
     assert np.sqrt(np.mean(result.squared) / np.mean(result.bound)) < 1.6
     summary = summarize([result])
     assert summary["lost"] == 0
-    assert bound_of(hall).shape == (hall.track.steps, 2, 2)
+    bound = bound_of(hall)
+    assert np.all(np.linalg.eigvalsh(bound) > 0)
+    assert bound.shape == (hall.track.steps, 2, 2)
