@@ -26,6 +26,7 @@ from .estimators.sage import Sage
 from .fisher import crb, fisher_information, snr
 from .signal.arrays import Array, Manifold, Pattern, cylinder, ula, ura
 from .signal.directions import angles_of, unit_vectors
+from .signal.impairments import Impairments, WeightedPattern
 from .signal.model import SignalModel
 from .signal.noise import white_noise
 from .signal.paths import PARAMETERS, PathTable
@@ -46,6 +47,7 @@ __all__ = [
     "Esprit",
     "EstimationError",
     "Flag",
+    "Impairments",
     "Manifold",
     "ModelError",
     "Nomp",
@@ -58,6 +60,7 @@ __all__ = [
     "SignalModel",
     "View",
     "Waveform",
+    "WeightedPattern",
     "ambiguity",
     "angles_of",
     "antenna_switching",

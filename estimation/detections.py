@@ -33,6 +33,8 @@ class Flag(IntFlag):
     MERGED = 32
     """The residual about the path is not noise: two paths in one, or a model that does not fit. The covariance has grown
     by what that can have moved it."""
+    LIMITED = 64
+    """The search of this burst ended at ``max_paths`` or ``max_seconds``; there may be more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,8 @@ class Detections:
     false_alarm_rate : expected false paths per snapshot
     flags : (P,) bits of :class:`Flag`
     active : (6,) parameters that the link observes; the covariance of the others is infinite
+    misfit : energy, relative to that of the strongest paths, of what the model gets wrong about them along any one mode; 0
+        if that is no more than noise
     """
 
     delay: Float
@@ -69,6 +73,7 @@ class Detections:
     false_alarm_rate: float
     flags: np.typing.NDArray[np.uint8]
     active: np.typing.NDArray[np.bool_]
+    misfit: float = 0.0
 
     @staticmethod
     def of(
@@ -152,5 +157,5 @@ class Detections:
             "snr",
             "flags",
         )
-        rest = ("noise_variance", "threshold", "false_alarm_rate", "active")
+        rest = ("noise_variance", "threshold", "false_alarm_rate", "active", "misfit")
         return Detections(**{c: getattr(self, c)[index] for c in columns}, **{r: getattr(self, r) for r in rest})

@@ -41,7 +41,10 @@ DESCRIPTIONS = {
     ("DetectionSeries", "delay"): "as measured: geometric delay plus clock bias / c, modulo delay_range",
     ("DetectionSeries", "radial_velocity"): "positive when approaching",
     ("DetectionSeries", "anchor"): "row of base_stations",
-    ("DetectionSeries", "flags"): "bits: 1 close pair, 2 edge of view, 4 weak, 8 singular, 16 ambiguous, 32 merged",
+    (
+        "DetectionSeries",
+        "flags",
+    ): "bits: 1 close pair, 2 edge of view, 4 weak, 8 singular, 16 ambiguous, 32 merged, 64 limited",
     (
         "DetectionSeries",
         "covariance",

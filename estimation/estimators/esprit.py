@@ -21,7 +21,8 @@ from ..signal.arrays import Array
 from ..signal.directions import Float
 from ..signal.paths import Geometry, PathTable
 from . import report
-from .nomp import Noise, Nomp
+from .noise import Noise
+from .nomp import Nomp
 from .projector import Projector
 from .refine import linearize
 

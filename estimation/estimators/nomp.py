@@ -21,11 +21,13 @@ from ..signal.model import SignalModel
 from ..signal.noise import white_noise
 from ..signal.paths import Geometry, PathTable
 from . import report
-from .dense import DenseSearch
+from .beyond import beyond
 from .detect import calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
+from .floor import LARGEST, Floor
 from .grids import EVERYWHERE, View, directions_in
-from .mirror import MirroredSearch
+from .kinds import Search, search_kind
+from .noise import ENDLESS, Clock, Noise
 from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
@@ -46,7 +48,10 @@ class Nomp:
     arrival_view, departure_view : directions searched, in the arrays' parent frames
     dynamic_range : several peaks are accepted in one pass only within this ratio of the strongest [dB];
         sidelobes lie below
-    max_paths : give up looking for more
+    max_paths : give up looking for more (:attr:`~estimation.Flag.LIMITED` then)
+    max_seconds : the same for the time spent on a burst; what is found by then is reported
+    model_error_db : energy relative to a path that errors of its model are taken to have in any one mode; whatever is given,
+        the error is also measured on every burst (:mod:`~.floor`)
     calibration : noise-only searches that measure the effective search volume when the estimator is made; 0
         trusts Rice's formula
     threshold : fixed threshold on rho instead of a false-alarm rate
@@ -65,12 +70,14 @@ class Nomp:
     departure_view: View = EVERYWHERE
     dynamic_range: float = 10.0
     max_paths: int = 40
+    max_seconds: float | None = None
+    model_error_db: float | None = None
     calibration: int = 24
     threshold: float | None = None
     dense_multipath: bool = False
     resolve: bool = True
     search_options: dict = field(default_factory=dict)
-    _search: StagedSearch | DenseSearch | MirroredSearch = field(init=False, repr=False)
+    _search: Search = field(init=False, repr=False)
     _basis: Bases = field(init=False, repr=False)
     volume: float = field(init=False, repr=False)
 
@@ -185,7 +192,8 @@ class Nomp:
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
         efforts, spare = self._search.efforts, None
-        while efforts and (lin is None or len(lin.gain) < self.max_paths):
+        clock = Clock.of(self.max_seconds)
+        while efforts and (lin is None or len(lin.gain) < self.max_paths) and not clock.over:
             variance = noise.variance(lin)
             residual = filtered
             if lin is not None and model.subbands > 1:
@@ -195,6 +203,7 @@ class Nomp:
             elif lin is not None:
                 spare = residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain, spare)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
+            found, statistic = self._credible(data, lin, variance, found, statistic)
             accepted, more = self._accepted(model, found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
@@ -213,7 +222,30 @@ class Nomp:
             faint = len(statistic) and statistic[0] < FAINT * self.level
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
-        return data, self._pruned(data, lin, noise), noise
+        limited = bool(efforts)
+        return data, self._pruned(data, lin, noise, clock), replace(noise, limited=limited)
+
+    def _credible(self, data: Projector, lin: Linearization | None, variance: float, found: Geometry, statistic):
+        """Candidates with statistics in terms of the noise about them, and those beyond the searched region where they
+        are.
+        """
+        if not len(statistic) or statistic[0] <= self.level:
+            return found, statistic
+        floor = Floor(data, lin, variance, self.error_share)
+        if statistic[0] > STRONG * self.level:
+            outside = beyond(floor, found.take([0]), statistic[0] * variance, self.max_delay, self.max_speed)
+            if outside is not None:
+                return outside, statistic[:1]
+        strong = np.flatnonzero(statistic > self.level)
+        statistic = statistic.copy()
+        statistic[strong] /= floor.over(found.take(strong), statistic[strong])
+        order = np.argsort(-statistic, kind="stable")
+        return found.take(order), statistic[order]
+
+    @property
+    def error_share(self) -> float:
+        """Energy of a model's error relative to its path, as given."""
+        return 0.0 if self.model_error_db is None else 10 ** (self.model_error_db / 10)
 
     def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise):
         """The paths with one of them in two, if that explains its side lobes: candidates, or paths that took their
@@ -222,16 +254,25 @@ class Nomp:
         near = found.take(np.flatnonzero(statistic > SIDE_LOBE * self.level))
         if not len(near):
             return None
-        lobes = [(lin.geometry, path, mode) for _, path, mode in side_lobes(data.model, near, lin)]
+        lobes = [(lin.geometry, path, mode, path) for _, path, mode in side_lobes(data.model, near, lin)]
         if statistic[0] > self.level:
             # Something is left that no further path explains.
             for other, path, mode in side_lobes(data.model, lin.geometry, lin):
                 rest = lin.geometry.take(np.arange(len(lin.gain)) != other)
-                lobes.append((rest, path - (other < path), mode))
-        for paths, path, mode in lobes:
+                lobes.append((rest, path - (other < path), mode, path))
+        variance = noise.variance(lin)
+        for paths, path, mode, whole in lobes:
             for start in halves(data.model, paths, path, mode):
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
-                if self._better(grown, lin, noise):
+                if grown is None or not self._better(grown, lin, noise):
+                    continue
+                gained = (grown.explained - lin.explained) / variance
+                strength = lin.drop[whole] / variance
+                # Two paths explain a wrong model better, too: by little of the path's own energy, and much is left.
+                given = self.error_share * strength
+                if gained > LARGEST * strength:
+                    return grown
+                if gained > given + self.level * Floor(data, grown, variance).about(lin.geometry.take([whole])):
                     return grown
         return None
 
@@ -246,7 +287,7 @@ class Nomp:
         if lin is None:
             return report.empty(self, noise.variance(None))
         lin = self._fit(data, lin, noise, tolerance=3e-3)
-        return report.detections(self, data, lin, noise.variance(lin))
+        return report.detections(self, data, lin, noise.variance(lin), noise.limited)
 
     def _fit(
         self, data: Projector, start: Geometry | Linearization, noise: Noise, tolerance: float = 0.5
@@ -271,7 +312,8 @@ class Nomp:
         points, energies = self._refined(data, residual, lin, points, variance)
         significant = np.flatnonzero(energies > max(interest, 10 ** (-self.dynamic_range / 10) * energies.max()))
         if isinstance(self._search, StagedSearch) and len(significant) and model.subbands == 1:
-            significant = significant[lone(model, points.take(significant), energies[significant])]
+            overlap = coherence(model, points.take(significant))
+            significant = significant[distinct(overlap, energies[significant], len(significant), limit=0.25)]
             peaks = points.take(significant)
             cells = self._search.projector(data, residual, lin, peaks)
             rivals = self._search.alternatives(model, cells, peaks, energies[significant])
@@ -320,12 +362,14 @@ class Nomp:
             lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
         return None
 
-    def _pruned(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
+    def _pruned(
+        self, data: Projector, lin: Linearization | None, noise: Noise, clock: Clock = ENDLESS
+    ) -> Linearization | None:
         """Backward elimination against re-optimized models: a component's worth at fixed frequencies is not
         enough for close pairs.
         """
         while lin is not None:
-            smaller = self._smaller(data, lin, noise)
+            smaller = None if clock.over else self._smaller(data, lin, noise)
             if smaller is None:
                 return lin
             lin = self._eliminated(data, smaller, noise)
@@ -347,41 +391,9 @@ class Nomp:
         return None
 
 
-def search_kind(model: SignalModel) -> type[StagedSearch] | type[DenseSearch] | type[MirroredSearch]:
-    """The coarse search that fits a link's architecture."""
-    if model.schedule.precoders is not None:
-        return StagedSearch
-    return DenseSearch if model.schedule.combiners is None else MirroredSearch
-
-
-def lone(model: SignalModel, geometry: Geometry, energy) -> np.ndarray:
-    """One point of each set of coherent ones, the strongest."""
-    return distinct(coherence(model, geometry), energy, len(energy), limit=0.25)
-
-
 SIDE_LOBE = 0.5
 """Candidates above this share of the threshold may be what one path leaves of two."""
+STRONG = 4.0
+"""Above this multiple of the threshold the strongest candidate may be a side lobe of a path outside the searched region."""
 FAINT = 10.0
 """Below this multiple of the threshold the strongest path of a pass ends the quick passes."""
-LEAST_NOISE = 1e-9
-"""Noise is never taken to be weaker than this share of the signal: single-precision samples cannot tell."""
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Energy and number of samples of a burst, the noise variance if it is known, and a factor on it where
-    caution is due.
-    """
-
-    energy: float
-    samples: int
-    known: float | None
-    inflation: float = 1.0
-
-    def variance(self, lin: Linearization | None) -> float:
-        """Known, or what the paths leave unexplained per degree of freedom (eight real parameters each)."""
-        if self.known is not None:
-            return self.known * self.inflation
-        paths, explained = (0, 0.0) if lin is None else (len(lin.gain), lin.explained)
-        rest = max(self.energy - explained, LEAST_NOISE * self.energy)
-        return self.inflation * rest / max(self.samples - 4 * paths, 1)

@@ -15,6 +15,7 @@ from ..signal.model import SignalModel
 from ..signal.observability import cone_variance, confused, mirrored
 from ..signal.paths import Geometry, tangent_jacobian
 from .detect import fitted_excess
+from .floor import Floor
 from .grids import View
 from .misfit import misfit
 from .projector import Projector
@@ -97,7 +98,18 @@ def on_sphere(array: Manifold, view: View) -> Float:
     return inside[front] if front.any() else inside
 
 
-def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float) -> Detections:
+def spread_of(model: SignalModel, errors: Float) -> Float:
+    """(6,) error per dimension of the mode that tells each parameter, from those (modes,) of :meth:`~.floor.Floor.errors`."""
+    share = np.zeros(6)
+    for mode, error in zip(model.bands[0].modes, errors, strict=True):
+        for parameter in mode.parameters:
+            share[parameter] = error / max(mode.size - 2, 1)
+    return share
+
+
+def detections(
+    estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float, limited: bool = False
+) -> Detections:
     """Sorted by rho, in canonical form (and the gains solved for there)."""
     model = data.model
     if not np.any(lin.drop > 0):
@@ -114,7 +126,12 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
     )
     residue = misfit(lin, noise_variance, model.active)
     tangent = residue.inflated(tangent)
+    # A path's model error moves it as noise of that share of its energy would, spread over the mode it is in.
+    errors = Floor(data, lin, noise_variance).errors()
+    root = np.sqrt(1 + estimator.error_share * snr[:, None] + spread_of(model, errors) * snr[:, None])
+    tangent = tangent * root[:, :, None] * root[:, None]
     flags = np.where(residue.merged, np.uint8(Flag.MERGED), np.uint8(0))
+    flags |= np.uint8(Flag.LIMITED if limited else 0)
     for number, (array, directions, view) in enumerate(
         (
             (model.receiver, geometry.arrival, estimator.arrival_view),
@@ -158,4 +175,5 @@ def detections(estimator: Nomp, data: Projector, lin: Linearization, noise_varia
         estimator.false_alarm_rate,
         flags,
         model.active,
+        float(errors.max(initial=0.0)),
     )

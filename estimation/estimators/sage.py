@@ -15,7 +15,8 @@ import numpy as np
 
 from ..signal.algebra import gram, gram_diagonal
 from ..signal.paths import Geometry
-from .nomp import Noise, Nomp
+from .noise import Noise
+from .nomp import Nomp
 from .projector import Projector
 from .refine import LARGEST_STEP, Linearization, bounded, linearize, metric
 

@@ -59,6 +59,11 @@ class PathTable:
         """(P, 6) parameters in the common order."""
         return np.column_stack([self.delay, self.aoa, self.aod, self.radial_velocity])
 
+    def take(self, index) -> PathTable:
+        """A selection of the paths (index array, mask or slice)."""
+        index = np.asarray(index, int) if isinstance(index, list) else index
+        return PathTable(*(getattr(self, f.name)[index] for f in fields(self)))
+
     @property
     def geometry(self) -> Geometry:
         """The same paths with directions as unit vectors, without gains."""

@@ -1,0 +1,58 @@
+"""Paths beyond the searched region: found at the end of a line that leaves it, not as a comb of their side lobes.
+
+A strong path outside the searched speeds or delays shows inside by its side lobes, one candidate after the other. They have
+its directions, and its delay or its speed. So the strongest candidate of a pass is looked at along either line, as far as
+the link can tell; where the line is higher outside, that is where the path is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..signal.directions import Float
+from ..signal.model import SignalModel
+from ..signal.paths import Geometry
+from .floor import Floor
+
+FARTHEST = 4.0
+"""Speeds are looked at up to this multiple of the largest one searched."""
+HIGHER = 1.3
+"""Energy outside over that of the candidate inside that makes it a side lobe."""
+
+
+def lines(model: SignalModel, path: Geometry, max_delay: float, max_speed: float) -> list[Geometry]:
+    """Points along speed and delay through a path, those of them outside the searched region."""
+    found = []
+    if model.active[5] and max_speed > 0:
+        bin_width = model.waveform.wavelength / np.ptp(model.schedule.times)
+        speed = np.arange(max_speed, FARTHEST * max_speed, bin_width / 3)
+        speed = np.concatenate([-speed[::-1], speed])
+        found.append(replace(_repeated(path, len(speed)), speed=speed))
+    period = model.waveform.max_delay
+    if model.active[0] and np.isfinite(period) and max_delay < period * (1 - 1e-6):
+        delay = np.arange(max_delay, period, 1 / (3 * model.waveform.bandwidth))
+        found.append(replace(_repeated(path, len(delay)), delay=delay))
+    return found
+
+
+def beyond(floor: Floor, path: Geometry, energy: float, max_delay: float, max_speed: float) -> Geometry | None:
+    """The point outside the region whose side lobe ``path`` (one, of so much energy) is, or None."""
+    model = floor.data.model
+    if model.subbands > 1 or model.weight is not None:
+        return None
+    best, highest = None, HIGHER * energy
+    for points in lines(model, path, max_delay, max_speed):
+        mode = 0 if points.delay[0] != points.delay[-1] else 1
+        blocks = model.evaluate(points)[0]
+        fiber = floor.along(path, mode)
+        vectors = blocks[mode][:, 0]
+        power: Float = np.abs(vectors.conj() @ fiber) ** 2 / np.maximum(np.sum(np.abs(vectors) ** 2, axis=1), 1e-300)
+        if power.max(initial=0.0) > highest:
+            best, highest = points.take([int(np.argmax(power))]), float(power.max())
+    return best
+
+
+def _repeated(path: Geometry, count: int) -> Geometry:
+    return path.take(np.zeros(count, int))

@@ -1,0 +1,124 @@
+"""Hardware that is not quite the model, and paths outside the searched region: no ghosts, and it is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation import EadfArray, Flag, Impairments, ModelError, Nomp, SignalModel, comb, digital, synthesize, ura
+from estimation.evaluate import associate
+from estimation.scenarios import FRONT, Draw, at_snr, draw_paths
+
+OFF = {
+    "positions": Impairments(position=0.01),
+    "gains": Impairments(gain_db=0.5, phase_deg=5),
+    "phase noise": Impairments(phase_noise_deg=3),
+    "strong phase noise": Impairments(phase_noise_deg=10),
+}
+
+
+@pytest.fixture(scope="module")
+def link() -> SignalModel:
+    return SignalModel(comb(28e9, 6.25e6, 64), digital(16, 125e-6), ura(2, 4), ura(2, 4))
+
+
+@pytest.fixture(scope="module")
+def nomp(link) -> Nomp:
+    return Nomp(link, threshold=25.0, arrival_view=FRONT, departure_view=FRONT)
+
+
+def drawn(link, seed, strongest=52.0):
+    """Five paths, the first strong."""
+    rng = np.random.default_rng(seed)
+    decibel = np.r_[strongest, rng.uniform(25, 40, 4)]
+    return at_snr(link, draw_paths(link, rng, Draw(paths=5, separation=1.5)), 10 ** (decibel / 10)), rng
+
+
+@pytest.mark.parametrize("name", OFF)
+def test_hardware_that_is_a_little_off_makes_no_ghosts(link, nomp, name):
+    false, found, strong = [], [], []
+    for seed in range(4):
+        paths, rng = drawn(link, seed)
+        match = associate(link, nomp.run(OFF[name].signal(link, paths, 1.0, rng, seed)), paths, 1.0)
+        false.append(match.false)
+        found.append(match.detected.mean())
+        strong.append(match.detected[0])
+    assert np.mean(false) <= 1 and np.mean(found) >= 0.75
+
+
+def test_without_the_floor_there_would_be_ghosts(link, nomp, monkeypatch):
+    monkeypatch.setattr(Nomp, "_credible", lambda self, data, lin, variance, found, statistic: (found, statistic))
+    paths, rng = drawn(link, 0)
+    limited = replace(nomp, max_paths=12)
+    assert len(limited.run(OFF["positions"].signal(link, paths, 1.0, rng, 0))) >= 8
+
+
+def test_the_given_model_error_keeps_away_what_it_could_explain(link, nomp):
+    paths, rng = drawn(link, 3)
+    careful = replace(nomp, model_error_db=-30.0)
+    found = careful.run(synthesize(link, paths, 1.0, rng))
+    sharp = nomp.run(synthesize(link, paths, 1.0, np.random.default_rng(0)))
+    # At 52 dB an error of -30 dB outweighs the noise more than a hundred times.
+    ratio = found.covariance[0, 0, 0] / sharp.covariance[0, 0, 0]
+    assert ratio == pytest.approx(1 + 1e-3 * sharp.snr[0], rel=0.2)
+
+
+@pytest.mark.parametrize(("name", "value"), [("radial_velocity", 40.0), ("radial_velocity", -33.0)])
+def test_a_path_faster_than_what_is_searched_is_one_flagged_path(link, nomp, name, value):
+    paths, rng = drawn(link, 5)
+    column = getattr(paths, name).copy()
+    column[0] = value
+    paths = replace(paths, **{name: column})
+    found = nomp.run(synthesize(link, paths, 1.0, rng))
+    match = associate(link, found, paths, 1.0)
+    assert match.detected.all() and match.false == 0
+    fast = np.abs(found.radial_velocity) > 25
+    assert fast.sum() == 1 and found.flags[fast][0] & Flag.EDGE_OF_VIEW
+
+
+def test_a_path_later_than_what_is_searched_is_one_flagged_path(link):
+    nomp = Nomp(link, threshold=25.0, arrival_view=FRONT, departure_view=FRONT, max_delay=100e-9)
+    paths, rng = drawn(link, 6)
+    paths = replace(paths, delay=np.r_[150e-9, np.linspace(20e-9, 90e-9, 4)])
+    found = nomp.run(synthesize(link, paths, 1.0, rng))
+    match = associate(link, found, paths, 1.0)
+    assert match.detected.all() and match.false == 0
+    late = found.delay > 110e-9
+    assert late.sum() == 1 and found.flags[late][0] & Flag.EDGE_OF_VIEW
+
+
+def test_a_search_that_ends_early_says_so_and_keeps_the_strongest(link, nomp):
+    paths, rng = drawn(link, 7)
+    signal = synthesize(link, paths, 1.0, rng)
+    few = replace(nomp, max_paths=2).run(signal)
+    assert np.all(few.flags & Flag.LIMITED) and 2 <= len(few) < 5
+    assert not np.any(nomp.run(signal).flags & Flag.LIMITED)
+    none = replace(nomp, max_seconds=0.0).run(signal)
+    assert len(none) == 0
+
+
+def test_impairments_are_switches_with_seeds(link):
+    paths, _ = drawn(link, 1)
+    clean = synthesize(link, paths, 1.0, np.random.default_rng(0))
+    plain = Impairments().signal(link, paths, 1.0, np.random.default_rng(0), 3)
+    assert np.allclose(plain, clean, atol=1e-4 * np.abs(clean).max())
+    for one in (
+        *OFF.values(),
+        Impairments(phase_walk_deg=2),
+        Impairments(frequency_offset=100.0),
+        Impairments(iq_gain_db=0.5, iq_phase_deg=3),
+        Impairments(bits=4),
+    ):
+        first, again, other = (one.signal(link, paths, 1.0, np.random.default_rng(0), seed) for seed in (3, 3, 4))
+        assert np.array_equal(first, again) and not np.allclose(first, clean, atol=1e-3)
+        drawn_errors = one.frequency_offset == one.iq_gain_db == one.bits == 0
+        assert drawn_errors != np.array_equal(first, other)
+    with pytest.raises(ModelError, match="known positions"):
+        Impairments(position=0.01).hardware(replace(link, receiver=EadfArray.from_array(ura(2, 4), 16)), None)
+
+
+def test_a_frequency_offset_adds_one_speed_to_all(link, nomp):
+    paths, rng = drawn(link, 2)
+    found = nomp.run(Impairments(frequency_offset=100.0).signal(link, paths, 1.0, rng))
+    shifted = replace(paths, radial_velocity=paths.radial_velocity + 100.0 * link.waveform.wavelength)
+    assert associate(link, found, shifted, 1.0).detected.all()
