@@ -91,7 +91,7 @@ def _placed(made: Path, name: str, kind, source, seed, scale, radio: dict, usual
     error = None
     for attempt in range(LAYOUTS):
         rng = np.random.default_rng([seed, attempt])
-        placed = place(triangles, habit, ground, lambda p: raytracing.solid(loaded.surfaces, p), rng)
+        placed = place(triangles, habit, ground, raytracing.solids(loaded.surfaces), rng)
         if placed is None:
             continue
         keys = {

@@ -13,11 +13,11 @@ from dopslam.raytracing.scene import (
     load_scene,
 )
 from dopslam.raytracing.settings import ScatterPoints, TraceSettings
-from dopslam.raytracing.surfaces import Surfaces, floor_plan, position_faults, solid
+from dopslam.raytracing.surfaces import Surfaces, floor_plan, position_faults, solids
 from dopslam.raytracing.traced import Traced, join
 from dopslam.raytracing.tracer import Tracer, trace
 
 __all__ = [
     "LoadedScene", "ScatterPoints", "SceneSource", "Surfaces", "TraceSettings", "Traced", "Tracer",
-    "builtin_scenes", "defined_materials", "floor_plan", "join", "load_geometry", "load_scene", "position_faults", "solid", "trace",
+    "builtin_scenes", "defined_materials", "floor_plan", "join", "load_geometry", "load_scene", "position_faults", "solids", "trace",
 ]  # fmt: skip

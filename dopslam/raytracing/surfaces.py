@@ -9,6 +9,7 @@ one. A curved mesh has a plane per triangle.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -211,20 +212,26 @@ def position_faults(surfaces: Surfaces, points: dict[str, np.ndarray], clearance
     return [what for _, what in sorted(wrong)]
 
 
-def solid(surfaces: Surfaces, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) m lie inside of a closed object; one that reaches around the whole scene is no obstacle."""
+def solids(surfaces: Surfaces) -> Callable[[np.ndarray], np.ndarray]:
+    """Tells which of points (N, 3) m lie inside of a closed object; one that reaches around the whole scene is none."""
     lower, upper = _bounds(len(surfaces.objects), surfaces.triangle_object, surfaces.triangles)
-    points, inside = np.asarray(points, dtype=float), np.zeros(len(points), dtype=bool)
-    if not len(surfaces.objects):
-        return inside
-    widest = upper[:, :2].max(axis=0) - lower[:, :2].min(axis=0)
-    for index in range(len(surfaces.objects)):
-        if np.all(upper[index, :2] - lower[index, :2] > 0.9 * widest):
-            continue
-        rows = np.flatnonzero(np.all((points >= lower[index]) & (points <= upper[index]), axis=1))
-        if len(rows):
-            mesh = surfaces.triangles[surfaces.triangle_object == index]
-            inside[rows] |= np.abs(winding_number(points[rows], mesh)) > 0.5
+    if len(surfaces.objects):
+        widest = upper[:, :2].max(axis=0) - lower[:, :2].min(axis=0)
+        around = np.all(upper[:, :2] - lower[:, :2] > 0.9 * widest, axis=1)
+        lower[around] = np.inf
+    edges = np.searchsorted(surfaces.triangle_object, np.arange(len(surfaces.objects) + 1))
+
+    def inside(points: np.ndarray) -> np.ndarray:
+        points = np.asarray(points, dtype=float)
+        found = np.zeros(len(points), dtype=bool)
+        low, high = points.min(axis=0), points.max(axis=0)
+        for index in np.flatnonzero(np.all((lower <= high) & (upper >= low), axis=1)):
+            rows = np.flatnonzero(np.all((points >= lower[index]) & (points <= upper[index]), axis=1))
+            if len(rows):
+                mesh = surfaces.triangles[edges[index] : edges[index + 1]]
+                found[rows] |= np.abs(winding_number(points[rows], mesh)) > 0.5
+        return found
+
     return inside
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from dopslam.errors import SceneError
 from dopslam.raytracing.landmarks import Naming, landmarks_of
-from dopslam.raytracing.surfaces import build_surfaces, check_positions, floor_plan
+from dopslam.raytracing.surfaces import build_surfaces, check_positions, floor_plan, solids
 from dopslam.records import Kind
 
 
@@ -172,3 +172,9 @@ def test_small_parts_of_a_plane_are_not_named():
     wall = quad((0, 0, 0), (20, 0, 0), (20, 0, 9), (0, 0, 9))
     window = quad((2, 0.001, 2), (4, 0.001, 2), (4, 0.001, 4), (2, 0.001, 4))
     assert build_surfaces({"window": window, "wall": wall}).plane_name == ("wall",)
+
+
+def test_what_is_solid_and_what_reaches_around_everything():
+    scene = build_surfaces({"crate": box((2, 2, 0), (3, 4, 1)), "hall": box((0, 0, 0), (10, 10, 5))})
+    points = np.array([[2.5, 3.0, 0.5], [2.5, 3.0, 1.5], [5.0, 5.0, 1.0], [12.0, 5.0, 1.0]])
+    assert solids(scene)(points).tolist() == [True, False, False, False]
