@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, copy_vector
 from dopslam.records import Kind, Ragged, check_offsets, edges_of
-from dopslam.slam.pmb.density import PMB
+from dopslam.slam.pmb.density import INERT, PMB
 
 Array = NDArray[np.float64]
 
@@ -132,6 +132,9 @@ def write_map(posterior, table, row):
     n = posterior.mean.shape[0] - 3 * (blocks - 1)
     b = 1
     while b < blocks:
+        if posterior.kind[b] == INERT:
+            b += 1
+            continue
         best, last = b, b
         existence = 0.0
         for t in range(TYPES):

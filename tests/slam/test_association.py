@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
+from dopslam.slam.association.clusters import clusters, k_best_of_clusters
 from dopslam.slam.association.murty import assign, k_best
 
 
@@ -69,3 +70,26 @@ def test_nothing_to_assign_and_nothing_possible():
     assert totals.tolist() == [0.0] and solutions.shape == (1, 0)
     assert assign(np.full((1, 2), np.inf))[0] == np.inf
     assert len(k_best(np.full((1, 2), np.inf), 3, 10.0)[0]) == 0
+
+
+@pytest.mark.parametrize("density", [0.05, 0.15, 0.4])
+def test_clusters_give_what_the_whole_gives(density):
+    """Murty over the whole matrix against the cheapest sums over connected components, sparse and not so sparse."""
+    rng = np.random.default_rng(int(100 * density))
+    for _ in range(60):
+        rows, columns = rng.integers(0, 9), rng.integers(1, 12)
+        cost = np.where(rng.random((rows, columns)) < density, rng.normal(0, 4, (rows, columns)), np.inf)
+        alone = rng.normal(2, 3, rows)
+        whole = np.full((rows, columns + rows), np.inf)
+        whole[:, :columns] = cost
+        whole[np.arange(rows), columns + np.arange(rows)] = alone
+        totals, solutions = k_best(whole, 7, 9.0)
+        own, choice = k_best_of_clusters(cost, alone, 7, 9.0)
+        np.testing.assert_allclose(own, totals, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(choice, np.where(solutions < columns, solutions, -1))
+
+
+def test_components_share_no_pair():
+    cost = np.array([[1.0, np.inf, np.inf, np.inf], [np.inf, 2.0, np.inf, np.inf], [np.inf, 0.0, 40.0, np.inf]])
+    label, count = clusters(cost, np.zeros(3), 10.0)
+    assert count == 2 and label.tolist() == [0, 1, 1, 0, 1, -1, -1]

@@ -37,6 +37,8 @@ def known_map(world, spread=0.5):
         detections=np.zeros(5),
         visible=np.ones(5),
         unseen=np.zeros(5),
+        idle=np.zeros(5),
+        origin=np.zeros(5, dtype=np.int64),
         trail=start.trail,
     )
 

@@ -35,6 +35,8 @@ def one_landmark(world, weight=0.9, spread=0.3, detections=5.0):
         detections=np.array([5.0, detections]),
         visible=np.ones(2),
         unseen=np.zeros(2),
+        idle=np.zeros(2),
+        origin=np.zeros(2, dtype=np.int64),
         trail=start.trail,
     )
 
@@ -140,7 +142,8 @@ def test_one_wrong_detection_among_good_ones_moves_little(world):
     covariance[4:, 4:] = 1e-4 * np.eye(12)
     density = PMB(
         mean, covariance, np.array([BS, VA, VA, VA, VA]), np.array([1.0, *[0.999] * 4]), np.array([-1, 0, 1, 2, 3]),
-        np.zeros(count), np.full(count, 5.0), np.ones(count), np.zeros(count), density.trail,
+        np.zeros(count), np.full(count, 5.0), np.ones(count), np.zeros(count),
+        np.zeros(count), np.zeros(count, dtype=np.int64), density.trail,
     )  # fmt: skip
     state = nominal_track(world)[0]
     noise = np.diag((0.1 * world.noise.std) ** 2)

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 BS_TRACK = -1  # track number of the base station
 NO_TRACK = -2  # a measurement taken as new or clutter
+INERT = -1  # kind of a block that is kept for what hangs on it (`sleeping`)
 BIRTHS = 3  # kinds of landmarks that can be born: VA, SP, SR, in the order of their numbers
 
 
@@ -48,6 +49,8 @@ class PMB(NamedTuple):
     detections : (H + 1,) array; number of detections that `reference` rests on
     visible : (H + 1,) array; P(in sight | existing) of each block
     unseen : (H + 1,) array; detections that were due, were it in sight, since its last one
+    idle : (H + 1,) array; scans since a detection was last within reach of it
+    origin : (H + 1,) int array; number of the block in the snapshot that sleepers hang on (`sleeping`), 0 if it has none
     trail : (k, 2) array; past UE positions, for the thinning of the undetected intensity
     """
 
@@ -60,6 +63,8 @@ class PMB(NamedTuple):
     detections: Array
     visible: Array
     unseen: Array
+    idle: Array
+    origin: NDArray[np.int64]
     trail: Array
 
 
@@ -110,6 +115,7 @@ class Model(NamedTuple):
     robust: float
     outlier: float
     inform: bool
+    lazy: bool
     sp_range: float
     use_snr: bool
     table: Array
@@ -163,6 +169,8 @@ class FilterParameters:
     outlier : float
         How many times likelier a detection within a resolution cell of an unseen landmark is a distorted detection of
         that landmark than a new one beside it; it then moves nothing. 0: no such hypothesis.
+    lazy : bool
+        Whether landmarks out of reach sleep (`sleeping`) once there are many, in a whole run with `joint`.
     inform : bool
         Whether the redundant rows of a birth's only measurement move the receiver.
     negligible : float
@@ -190,6 +198,7 @@ class FilterParameters:
     robust: float = 10.0
     outlier: float = 20.0
     inform: bool = True
+    lazy: bool = True
     negligible: float = 1e-4
     detection: DetectionModel = field(default_factory=ConstantDetection)
     memory: float = 5.0
@@ -247,6 +256,7 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         robust=float(parameters.robust) if parameters.joint else np.inf,
         outlier=float(parameters.outlier) if parameters.joint else 0.0,
         inform=bool(parameters.inform and parameters.joint),
+        lazy=bool(parameters.lazy and parameters.joint),
         sp_range=float(detection.sp_range) if limited else np.inf,
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),
@@ -272,6 +282,8 @@ def initial_density(mean: Array, covariance: Array) -> PMB:
         detections=np.zeros(1),
         visible=np.ones(1),
         unseen=np.zeros(1),
+        idle=np.zeros(1),
+        origin=np.zeros(1, dtype=np.int64),
         trail=np.zeros((0, 2)),
     )
 
@@ -328,5 +340,7 @@ def select(density, keep):
         take(density.detections, keep),
         take(density.visible, keep),
         take(density.unseen, keep),
+        take(density.idle, keep),
+        take(density.origin, keep),
         density.trail,
     )

@@ -22,6 +22,7 @@ from dopslam.slam.history import COLUMNS, Diagnostics, History, history_of, writ
 from dopslam.slam.pmb.birth import new_hypotheses
 from dopslam.slam.pmb.density import (
     BS_TRACK,
+    INERT,
     NO_TRACK,
     PMB,
     FilterParameters,
@@ -41,7 +42,9 @@ from dopslam.slam.pmb.hypotheses import (
     track_starts,
 )
 from dopslam.slam.pmb.newborn import RARE
+from dopslam.slam.pmb.sleeping import nobody, whole
 from dopslam.slam.pmb.update import update
+from dopslam.slam.pmb.waking import rest, wake, write_sleepers
 
 Array = NDArray[np.float64]
 
@@ -113,7 +116,9 @@ def predict(density, model, pace):
             covariance[i, j] = value
             covariance[j, i] = value
     weight = density.weight * model.survival
-    weight[0] = 1.0
+    for b in range(weight.shape[0]):
+        if b == 0 or density.kind[b] == INERT:
+            weight[b] = 1.0
     return PMB(
         mean,
         covariance,
@@ -124,6 +129,8 @@ def predict(density, model, pace):
         density.detections,
         predict_sight(density, model),
         density.unseen,
+        density.idle,
+        density.origin,
         density.trail,
     )
 
@@ -142,7 +149,7 @@ def worth_updating(associations, negligible):
 @compiled
 def prune(density, threshold):
     """Drop the tracks whose existence lies below `threshold`, and of the others the types below `RARE` times that: a type
-    that one measurement makes unlikely may be the right one."""
+    that one measurement makes unlikely may be the right one. Blocks that sleepers hang on become inert instead."""
     kept = np.empty(density.kind.shape[0], dtype=np.int64)
     count = 1
     kept[0] = 0
@@ -155,6 +162,11 @@ def prune(density, threshold):
             if existence >= threshold and density.weight[b] >= RARE * threshold:
                 kept[count] = b
                 count += 1
+            elif density.origin[b] > 0:
+                kept[count] = b
+                count += 1
+                if existence < threshold and density.kind[b] != INERT:
+                    density.kind[b], density.weight[b], density.track[b] = INERT, 1.0, NO_TRACK - 1
     if count == density.kind.shape[0]:
         return density
     return select(density, kept[:count])
@@ -203,7 +215,12 @@ def step(posterior, scan, model):
     model : Model
     """
     n = ue_size(posterior)
-    prior = predict(posterior, model, scan.pace)
+    return recursion(predict(posterior, model, scan.pace), n, scan, model)
+
+
+@inlined
+def recursion(prior, n, scan, model):
+    """The same from the predicted density on."""
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
     distort(prior, local, log_new, model)
@@ -241,24 +258,30 @@ def filter_scans(z, covariance, log_snr, offsets, clutter, pace, density, model,
     track : (γ, N) int array; track of each measurement in each association
     existence, nis, rows : (N,), (K,), (K,) arrays; as in `Info`
     """
-    steps, n = offsets.shape[0] - 1, density.mean.shape[0]
+    steps, n = offsets.shape[0] - 1, ue_size(density)
     mean, spread = np.empty((steps, n)), np.empty((steps, n, n))
     map_offsets, table = np.zeros(steps + 1, dtype=np.int64), np.empty((16 * steps, COLUMNS))
     weight, count = np.zeros((steps, model.gamma)), np.empty(steps, dtype=np.int64)
     track, existence = np.empty((model.gamma, z.shape[0]), dtype=np.int64), np.empty(z.shape[0])
     nis, rows = np.empty(steps), np.empty(steps, dtype=np.int64)
+    asleep = nobody(n)
     for k in range(steps):
         at[0] = k
         first, last = offsets[k], offsets[k + 1]
         scan = Scan(z[first:last], covariance[first:last], log_snr[first:last], first, clutter, pace[k])
-        density, info = step(density, scan, model)
+        prior, asleep = wake(predict(density, model, scan.pace), n, scan, asleep, model)
+        density, info = recursion(prior, n, scan, model)
+        if model.lazy:
+            density, asleep = rest(density, n, asleep)
+        if k == steps - 1:
+            density, asleep = whole(density, n, asleep), nobody(n)
         copy_vector(density.mean[:n], mean[k])
         copy_matrix(density.covariance[:n, :n], spread[k])
-        while map_offsets[k] + density.kind.shape[0] > table.shape[0]:
+        while map_offsets[k] + density.kind.shape[0] + asleep.kind.shape[0] > table.shape[0]:
             larger = np.empty((2 * table.shape[0], COLUMNS))
             copy_matrix(table, larger)
             table = larger
-        map_offsets[k + 1] = write_map(density, table, map_offsets[k])
+        map_offsets[k + 1] = write_sleepers(asleep, density, n, table, write_map(density, table, map_offsets[k]))
         count[k] = info.weight.shape[0]
         copy_vector(info.weight, weight[k])
         copy_matrix(info.track, track[:, first:last])

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from dopslam.compiled import compiled, inlined
 from dopslam.models.kernels import factorize, noise_entry, solve_lower_vector, subtract
-from dopslam.slam.association.murty import k_best
+from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import log_spreading, visible_share
-from dopslam.slam.pmb.density import look_up, start_of
+from dopslam.slam.pmb.density import INERT, NO_TRACK, look_up, start_of
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 
 Array = NDArray[np.float64]
@@ -61,11 +61,11 @@ class Associations(NamedTuple):
 
 @compiled
 def track_starts(track):
-    """Block ranges of tracks: siblings lie side by side."""
+    """Block ranges of tracks: siblings lie side by side, and inert blocks belong to nobody."""
     starts = np.empty(track.shape[0] + 1, dtype=np.int64)
     count = 0
     for b in range(track.shape[0]):
-        if b == 0 or track[b] != track[b - 1]:
+        if b == 0 or track[b] != track[b - 1] or track[b] < NO_TRACK:
             starts[count] = b
             count += 1
     starts[count] = track.shape[0]
@@ -117,6 +117,9 @@ def local_hypotheses(density, n, scan, model):
     constant = -0.5 * m * math.log(2.0 * math.pi)
     for b in range(blocks):
         kind = density.kind[b]
+        if kind == INERT:
+            detection[b] = 0.0
+            continue
         detection[b] = density.visible[b] * detection_probability(density, n, b, model)
         if not linearize_block(
             density.mean, density.covariance, n, b, kind, model, predicted, by_state, by_landmark, extra
@@ -225,21 +228,12 @@ def normalize(log_weight):
 
 @inlined
 def best_associations(local, log_new, model):
-    """The γ most likely associations (Murty), with the weights of the product of single-landmark terms.
+    """The γ most likely associations (Murty, cluster by cluster), weighted by products of single-landmark terms.
 
     Those a tenth of `negligible` below the best are not searched for. Also returns the log of their sum, the
     evidence of the scan apart from Σ ln ρ^{i,0}.
     """
-    count, tracks = local.log_ratio.shape
-    cost = np.full((count, tracks + count), np.inf)
-    for p in range(count):
-        for t in range(tracks):
-            cost[p, t] = -local.log_ratio[p, t]
-        cost[p, tracks + p] = -log_new[p]
-    totals, solutions = k_best(cost, model.gamma, math.log(10.0 / model.negligible))
-    for g in range(solutions.shape[0]):
-        for p in range(count):
-            if solutions[g, p] >= tracks:
-                solutions[g, p] = -1
+    slack = math.log(10.0 / model.negligible)
+    totals, solutions = k_best_of_clusters(-local.log_ratio, -log_new, model.gamma, slack)
     log_weight = normalize(-totals)
     return Associations(log_weight, solutions), -totals[0] - log_weight[0]

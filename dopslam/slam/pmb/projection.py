@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dopslam.compiled import compiled
-from dopslam.slam.pmb.density import start_of
+from dopslam.slam.pmb.density import NO_TRACK, start_of
 
 
 @compiled
@@ -71,7 +71,7 @@ def cap_existence(weight, track, limit):
         while last < track.shape[0] and track[last] == track[b]:
             total += weight[last]
             last += 1
-        if total > limit:
+        if total > limit and track[b] > NO_TRACK:
             for i in range(b, last):
                 weight[i] *= limit / total
         b = last

@@ -353,6 +353,13 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     if not model.joint:
         drop_cross_covariances(covariance, n)
     kind, track = np.empty(old + born, dtype=np.int64), np.empty(old + born, dtype=np.int64)
+    idle, origin = np.zeros(old + born), np.zeros(old + born, dtype=np.int64)
+    copy_vector(density.origin, origin)
+    for b in range(old):
+        idle[b] = density.idle[b] + 1.0
+        for p in range(count):
+            if local.log_detected[p, b] > -np.inf or local.cell[p, b]:
+                idle[b] = 0.0
     copy_vector(density.kind, kind)
     copy_vector(density.track, track)
     for c in range(born):
@@ -362,7 +369,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     trail = np.empty((density.trail.shape[0] + 1, 2))
     copy_matrix(density.trail, trail)
     copy_vector(mean[:2], trail[density.trail.shape[0]])
-    posterior = PMB(mean, covariance, kind, weight, track, reference, detection, sight, missing, trail)
+    posterior = PMB(mean, covariance, kind, weight, track, reference, detection, sight, missing, idle, origin, trail)
     return posterior, log_weight, distance, rows
 
 
