@@ -17,6 +17,7 @@ _OWN = {
     "mixture": "dopslam.slam.pmb.filters:Mixture",
     "bp": "dopslam.slam.belief.filter:Belief",
     "batch": "dopslam.slam.batch.filter:Batch",
+    "interval": "dopslam.slam.batch.interval:Interval",
 }
 FILTERS = Table("filter", "dopslam.filters", _OWN, ConfigError)
 """The only place where the names of filters are spelled."""

@@ -9,23 +9,21 @@ scans of the whole run: it is to be compared with the smoothing bound.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.models import unmeasured
-from dopslam.models.measurement import BS
 from dopslam.models.scans import Scans
-from dopslam.records import edges_of
 from dopslam.slam.batch.grow import Locate, grow
-from dopslam.slam.batch.rows import Map, Rows, rows_of
-from dopslam.slam.batch.smoother import Choices, Smoothed, smooth
+from dopslam.slam.batch.result import Prefix, diagnostics_of, history_of
+from dopslam.slam.batch.rows import Map, rows_of
+from dopslam.slam.batch.smoother import Choices, smooth
 from dopslam.slam.batch.track import KNOWN, Chain
 from dopslam.slam.filter import Capabilities, Info, Problem
-from dopslam.slam.history import TYPES, Diagnostics, Estimate, History
-from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
+from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.filters import Joint
 from dopslam.slam.snapshot import start as snapshot
 from dopslam.slam.snapshot.candidates import Prior
@@ -60,21 +58,13 @@ class Batch:
     noise: Literal["given", "scaled"] = "given"
     rounds: int = 12
 
-    def init(self, problem: Problem, rng: np.random.Generator) -> Any:
+    def init(self, problem: Problem, rng: np.random.Generator) -> Prefix:
         """No scans yet."""
-        return problem, None
+        return Prefix(problem)
 
-    def step(self, state: Any, scan: Scans, rng: np.random.Generator) -> tuple[Any, Info]:
+    def step(self, state: Prefix, scan: Scans, rng: np.random.Generator) -> tuple[Prefix, Info]:
         """All scans so far, smoothed; what is told is the newest state."""
-        problem, before = state
-        scans = scan if before is None else Scans.join([before, scan])
-        history, _ = self.run(problem, scans, rng)
-        rows = history.rows(history.steps - 1)
-        estimate = Estimate(
-            history.mean[-1], history.covariance[-1], history.position[rows], history.position_covariance[rows],
-            history.existence[rows], history.type_probability[rows], history.track[rows],
-        )  # fmt: skip
-        return (problem, scans), Info(estimate)
+        return state.step(self, scan, rng)
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
         """Smooth a whole run.
@@ -109,7 +99,7 @@ class Batch:
             except FilterError as error:
                 if result is None:
                     raise failure or error from error
-        return _history(data, result), _diagnostics(data, result)
+        return history_of(data, result), diagnostics_of(data, result)
 
 
 def _filtered(problem: Problem, scans: Scans, rng: np.random.Generator, doppler: bool) -> tuple[Array, Array, Map]:
@@ -151,51 +141,3 @@ def _locator(problem: Problem, scans: Scans, doppler: bool) -> Locate:
         return state, spread
 
     return locate
-
-
-def _history(data: Rows, result: Smoothed) -> History:
-    """Smoothed states, and the map, which stands still, at every step."""
-    found, steps = result.estimate.found, data.steps
-    shown = np.flatnonzero(found.kind != BS)
-    born = _first_rows(result, len(found))[shown]
-    kind = found.kind[shown]
-    existence = 1 / (1 + np.exp(-np.minimum(result.evidence[shown], 50.0)))
-    return History(
-        mean=result.estimate.state[1:],
-        covariance=result.estimate.covariance[1:],
-        map_offsets=edges_of(np.full(steps, len(shown))).astype(np.int64),
-        position=np.tile(found.position[shown], (steps, 1)),
-        position_covariance=np.tile(found.covariance[shown], (steps, 1, 1)),
-        existence=np.tile(existence, steps),
-        type_probability=np.tile(np.eye(TYPES)[kind], (steps, 1)),
-        kind=np.tile(kind, steps).astype(np.int64),
-        track=np.tile(born, steps).astype(np.int64),
-    )
-
-
-def _first_rows(result: Smoothed, count: int) -> NDArray[np.int64]:
-    """The first detection of every landmark, by which it is numbered."""
-    rows = np.flatnonzero(result.owner >= 0)
-    first = np.zeros(count, dtype=np.int64)
-    first[result.owner[rows[::-1]]] = rows[::-1]
-    return first
-
-
-def _diagnostics(data: Rows, result: Smoothed) -> Diagnostics:
-    """Residuals per step, over the rows that the fit leaves free, and the association."""
-    estimate, owner = result.estimate, result.owner
-    rows = np.flatnonzero(owner >= 0)
-    used = data.used_by(rows, estimate.found.kind[owner[rows]]).sum(axis=1)
-    taken = estimate.state.shape[1] * data.steps + 3 * (len(estimate.found) - len(data.stations))
-    free = max(used.sum() - taken, 0) / max(used.sum(), 1)
-    step = data.step[rows]
-    first = _first_rows(result, len(estimate.found))
-    named = np.where(owner < 0, NO_TRACK, np.where(owner < len(data.stations), BS_TRACK, first[owner]))
-    parts = [slice(int(a), int(b)) for a, b in zip(data.offsets[:-1], data.offsets[1:], strict=True)]
-    return Diagnostics(
-        nis=np.bincount(step, estimate.square[rows], data.steps),
-        nis_rows=np.round(np.bincount(step, used * free, data.steps)).astype(np.int64),
-        weights=tuple(np.ones(1) for _ in parts),
-        associations=tuple(named[s][None] for s in parts),
-        existence=tuple(np.ones(s.stop - s.start) for s in parts),
-    )

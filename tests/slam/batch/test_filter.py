@@ -82,3 +82,15 @@ def test_learned_scales_undo_a_covariance_wrong_by_a_factor(simulated):
 
     given, scaled = nees("given"), nees("scaled")
     assert scaled < 0.6 * given
+
+
+def test_the_joint_filter_smoothed_over_the_whole_run_is_nearer_than_itself(simulated):
+    """The same associations, looked back over: below the filter's error, consistent, and its bound is the smoothing one."""
+    for name in ("joint", "interval"):
+        stages.slam(simulated, (), name)
+    stages.bound(simulated)
+    summary, evaluations = stages.evaluate(simulated)
+    assert summary["variants"]["interval"]["bound"] == "smoothing"
+    errors = {name: np.sqrt(np.mean(evaluations[name].position_error ** 2)) for name in ("joint", "interval")}
+    assert errors["interval"] < errors["joint"]
+    assert evaluations["interval"].nees.mean() < 12
