@@ -318,14 +318,11 @@ def spoil(file: h5py.File, rng: np.random.Generator) -> None:
         case 5 | 6 | 7:
             if data.size and data.dtype.kind in "iufc" and data.shape:
                 value = np.array(data[()])
-                flat = value.reshape(-1)
-                flat[rng.integers(flat.size)] = (
-                    rng.choice([-1, -(2**31), 2**31 - 1, 99, 127]) % 127
-                    if value.dtype.itemsize < 4
-                    else rng.choice([-1, -5, 99, 2**31 - 1])
-                    if value.dtype.kind in "iu"
-                    else rng.choice([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-320, 0.0, -1.0, 1e9])
-                )
+                flat, small = value.reshape(-1), value.dtype.itemsize < 4
+                whole = [-1, 99, 127] if small else [-1, -5, 99, 2**31 - 1]
+                odd = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-320, 0.0, -1.0, 1e9]
+                with np.errstate(over="ignore"):  # single precision makes an infinity of it
+                    flat[rng.integers(flat.size)] = rng.choice(whole if value.dtype.kind in "iu" else odd)
                 data[...] = value
         case 8:
             target = file if rng.integers(2) else node
@@ -490,7 +487,7 @@ def faults(attack: Attack, here: Path) -> list[str]:
         if code == 2:
             if len(lines) != 1 or not lines[0].startswith("dopslam: "):
                 return [f"{len(lines)} lines: {text}: {' / '.join(lines[:4])}"]
-            if attack.names and not any(name in lines[0] for name in attack.names):
+            if attack.names and not any(name in lines[0] for name in (*attack.names, "--set")):
                 return [f"names nothing: {text}: {lines[0][:300]}"]
             left = [p.name for p in here.rglob("*") if p.name.endswith(".part") or p.name.startswith(".")]
             if left:
@@ -560,7 +557,7 @@ def make_material(folder: Path) -> Material:
 
     drawn, traced = folder / "drawn.h5", folder / "traced.h5"
     stages.simulate(drawn, load("ring_road", ["source.kind=model", *SMALL]), 3)
-    for density in ("joint", "marginal", "bp", "smoother"):
+    for density in ("joint", "bp"):
         stages.slam(drawn, (), density)
     for doppler in (True, False):
         stages.bound(drawn, (), doppler)
@@ -628,7 +625,7 @@ def material(tmp_path_factory):
 @pytest.mark.parametrize("kind", list(ATTACKS))
 def test_attacks_end_well_or_in_one_line(material, kind):
     wrong = []
-    for seed in range(1000, 1018):
+    for seed in range(1000, 1006):
         wrong += [f"seed {seed}: {fault}" for fault in attack_with(seed, material, kind)[1]]
     assert not wrong, "\n".join(wrong)
 
