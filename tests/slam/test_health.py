@@ -172,6 +172,14 @@ def test_slam_alone_names_a_lost_receiver_and_leaves_with_3(tmp_path, call, caps
     assert dataset.read_record(path, group, History).lost in shown
 
 
+def test_belief_propagation_from_a_wrong_start_names_it_or_its_own_end(tmp_path, call, capsys):
+    path = tmp_path / "d.h5"
+    stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=12", "filter.particles=200"]), seed=2)
+    status = call("slam", path, "--filter", "bp", "--set", "track.start=[30, 40, 0.2, 300]")
+    out, err = capsys.readouterr()
+    assert status in (2, 3) and "snapshot" in out + err and "a fault of dopslam" not in err
+
+
 def test_the_table_and_the_summary_name_it(tmp_path, call, capsys):
     path = tmp_path / "d.h5"
     stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=12"]), seed=2)

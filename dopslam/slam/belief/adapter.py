@@ -200,8 +200,14 @@ def slam(scans: Scans, setup: Setup, *, particles: int, rng: np.random.Generator
     filter_ = filter_of(scans, setup, particles=particles)
     state = beginning(filter_, setup, rng, particles)
     estimates = []
-    for pace, scan in zip(scans.pace(setup.motion.interval), scans_of(scans, setup), strict=True):
-        state, info = paced(filter_, setup, pace).step(rng, state, scan)
+    for k, (pace, scan) in enumerate(zip(scans.pace(setup.motion.interval), scans_of(scans, setup), strict=True)):
+        try:
+            state, info = paced(filter_, setup, pace).step(rng, state, scan)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            raise FilterError(
+                f"step {k}: belief propagation: {error}; the likely cause is a start far off, too wide or known exactly in "
+                'part, and the remedy a start from a snapshot (filter.start = "snapshot")'
+            ) from error
         estimates.append(common(info.estimate, setup.assumptions.types))
     return history_of_estimates(estimates)
 

@@ -153,6 +153,17 @@ def uncertain(dynamics: Dynamics, mean: np.ndarray, covariance: np.ndarray) -> n
     return np.flatnonzero(total > 1e-24)
 
 
+def _divided(right: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """P⁻¹ B, and where P is singular (what is known exactly, or moves as one) its pseudo-inverse times B."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(scale, scale)
+    try:
+        result = np.linalg.solve(correlation, right / scale[:, None])
+    except np.linalg.LinAlgError:
+        result = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True) @ (right / scale[:, None])
+    return result / scale[:, None]
+
+
 def predict_map(
     parameters: Parameters, old: Map, covariance: np.ndarray, transition: np.ndarray, predicted: np.ndarray
 ) -> Map:
@@ -160,7 +171,7 @@ def predict_map(
 
     With J = P Fᵀ P'⁻¹ (the smoother's gain) x | s' has G' = G J and C' = C + G (P − J P' Jᵀ) Gᵀ.
     """
-    smooth = np.linalg.solve(predicted, transition @ covariance).T
+    smooth = _divided(transition @ covariance, predicted).T
     left = covariance - smooth @ predicted @ smooth.T
     values, vectors = np.linalg.eigh(0.5 * (left + left.T))
     root = old.gain @ (vectors * np.sqrt(np.maximum(values, 0.0)))
