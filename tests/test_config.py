@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Union, get_args, get_origin
 
 import pytest
 
+from dopslam.config import reference
 from dopslam.config.scenario import Scenario, find_scenario, load, override, parse, shipped_scenes
 from dopslam.config.sentences import models_in
 from dopslam.errors import ConfigError
@@ -124,3 +125,19 @@ def test_a_value_out_of_its_range_is_named_by_the_key_that_was_written(setting, 
     for word in words:
         assert word in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+def test_every_key_is_listed_with_its_range(call, capsys):
+    listed = {key.name: key for key in reference.listed()}
+    assert listed["track.speed"].allowed == "number from 0 to 100000"
+    assert listed["trace.samples"].allowed == "whole number from 1000 to 1e+07"
+    assert listed["base_station.position"].allowed == "3 × number from -1e+06 to 1e+06"
+    assert listed["estimator.false_alarm_rate"].allowed == "number from 1e-12 below 1"
+    assert listed["dataset.tracks.radius"].default == "" and listed["track.period"].default == "0.5"
+    assert all(
+        "from" in key.allowed for key in listed.values() if "number" in key.allowed and "table" not in key.allowed
+    )
+    assert call("keys", "source.model") == 0
+    assert "source.model.range_std" in capsys.readouterr().out
+    assert call("keys", "trak") == 2
+    assert "did you mean" in capsys.readouterr().err

@@ -35,6 +35,7 @@ VERBS = {
     "export": "Write a dataset for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV.",
     "sweep": "Repeat a Monte Carlo study over values of scenario keys: one table, one figure.",
     "scenes": "List the scenes that ship.",
+    "keys": "List the keys of a scenario with their ranges and defaults.",
     "info": "Say what a dataset file holds.",
     "doctor": "Say what the ray tracer found here: LLVM, GPU, threads, versions.",
 }
