@@ -40,6 +40,7 @@ class Setup:
     assumptions : on the features; false_alarm_tail : share of false alarms as strong as paths
     detection_probability : for detections without amplitudes
     doppler : use radial velocities, where the features are conditional; doppler_span : m/s, width of their search
+    correlation : False drops it after every step, the control experiment
     """
 
     anchor: np.ndarray
@@ -56,6 +57,7 @@ class Setup:
     detection_probability: float = 0.9
     doppler: bool = True
     doppler_span: float = 50.0
+    correlation: bool = True
 
 
 def turning(interval: float, turn_rate: float, process_std: np.ndarray, speed_walk: float = 0.0) -> SpeedHeading:
@@ -136,7 +138,7 @@ def filter_of(scans: Scans, setup: Setup, samples: float = 1e6, particles: int =
     if assumptions.features == "independent":
         return RaoBlackwell(parameters, setup.motion)
     return Conditional(
-        parameters, setup.motion, doppler=setup.doppler, doppler_span=setup.doppler_span, particles=particles,
+        parameters, setup.motion, doppler=setup.doppler, doppler_span=setup.doppler_span, correlation=setup.correlation, particles=particles,
         detection=SnrDetection(amplitude.threshold**2) if isinstance(amplitude, AmplitudeModel) else None,
     )  # fmt: skip
 

@@ -55,6 +55,14 @@ class Map:
             self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
         )  # fmt: skip
 
+    def marginals(self, covariance: np.ndarray) -> Map:
+        """Every row's own marginal and nothing else: no correlation with the agent (covariance (d, d)), none among rows."""
+        wide = np.zeros_like(self.spread)
+        for r in range(len(self.form)):
+            at = slice(3 * r, 3 * r + 3)
+            wide[at, at] = self.spread[at, at] + self.gain[at] @ covariance @ self.gain[at].T
+        return replace(self, gain=np.zeros_like(self.gain), spread=wide)
+
     def joined(self, label, counts, form, weight, reference, center, gain, spread) -> Map:
         """With newborn features behind, independent of all others given the agent; spread (·, 3, 3), gain (·, 3, d)."""
         old, new = len(self.spread), 3 * len(form)

@@ -44,6 +44,7 @@ class Conditional:
     widening : of the proposal's standard deviation
     pair_gate : squared Mahalanobis distance beyond which a measurement cannot be a feature's
     gate : associations less likely than this are left out of the updates
+    correlation : False drops it after every step, everything else equal: the control experiment of what keeping it is worth
     prune_type : types below this share of a feature's existence are dropped
     """
 
@@ -58,6 +59,7 @@ class Conditional:
     widening: float = 1.15
     pair_gate: float = 25.0
     gate: float = 1e-7
+    correlation: bool = True
     prune_type: float = 1e-5
 
     @cached_property
@@ -302,13 +304,15 @@ class Conditional:
         likely = np.flatnonzero(existence > parameters.pruning_threshold)
         belief = replace(belief, map=chart)
         if likely.size:
-            belief = self._born(belief, scan, rows, likely, existence[likely], log_false)
+            belief = self._born(belief, scan, rows, likely, existence[likely])
+        if not self.correlation:
+            belief = replace(belief, map=belief.map.marginals(belief.covariance))
         pose, full = self.dynamics.pose(belief.mean)
         estimate = estimate_of(parameters, belief, pose, full)
         info = Info(estimate, effective, stages, marginal, float(belief.map.weight[0]), len(belief.map.label) - 1)
         return belief, info
 
-    def _born(self, belief: Belief, scan: Scan, rows: Measured, likely, existence, log_false) -> Belief:
+    def _born(self, belief: Belief, scan: Scan, rows: Measured, likely, existence) -> Belief:
         """New features where the updated agent puts them."""
         chart, anchor = belief.map, np.asarray(self.parameters.anchor, float)
         pose, full = self.dynamics.pose(belief.mean)
