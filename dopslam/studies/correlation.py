@@ -18,12 +18,12 @@ from dopslam.evaluate.run import evaluate_run, summarize
 from dopslam.pipeline import file as files
 from dopslam.pipeline import stages
 from dopslam.pipeline.stages import Progress, quiet
-from dopslam.slam.belief import adapter
 from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.records import Form
+from dopslam.slam.filter import run as run_filter
 from dopslam.studies.bp_cases import CASES
 from dopslam.studies.bp_study import one_run, summary
-from dopslam.studies.traced import NOISES, mean_interval, prepare
+from dopslam.studies.traced import NOISES, largest_order, mean_interval, prepare
 
 VARIANTS = ("kept", "dropped", "independent")
 
@@ -63,15 +63,14 @@ def traced(
         track, landmarks, paths, _ = files.read_truth(path)
         detections = files.blurred(own, files.read_detections(path), seed)
         bounds = {d: stages.bound(own, track, landmarks, paths, detections, d) for d in (True, False)}
-        setup = build.belief_setup(own)
-        order = stages.largest_order("bp", landmarks)
+        order, chosen = largest_order("bp", landmarks), build.chosen_filter(own, "bp")
         for name in VARIANTS:
             independent = name == "independent"
             assumed = replace(
-                setup.assumptions, features="independent" if independent else "conditional", agent="gaussian"
+                chosen.assumptions, features="independent" if independent else "conditional", agent="gaussian"
             )
-            told = replace(setup, assumptions=assumed, correlation=name == "kept")
-            history = adapter.slam(detections, told, particles=own.filter.particles, seed=seed)
+            variant = replace(chosen, assumptions=assumed, correlation=name == "kept")
+            history, _ = run_filter(build.problem(own), detections, variant, seed)
             run = evaluate_run(own, track, landmarks, history, bounds[not independent], order)
             figures[name].append(summarize(run, landmarks, own.evaluation.found_radius))
     return {

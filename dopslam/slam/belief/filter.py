@@ -34,6 +34,7 @@ class Belief:
     particles : number of them
     assumptions : on the features, Sections IV and VI-A
     false_alarm_tail : share of false alarms as strong as paths
+    correlation : False drops that of receiver and features after every step, everything else equal (a control experiment)
     """
 
     largest_order: ClassVar[int | None] = None
@@ -42,6 +43,7 @@ class Belief:
     particles: int = 1000
     assumptions: Assumptions = field(default_factory=lambda: Assumptions(types=AOD_FOR_SINGLE_BOUNCE))
     false_alarm_tail: float = 0.1
+    correlation: bool = True
 
     @property
     def capabilities(self) -> Capabilities:
@@ -62,6 +64,7 @@ class Belief:
             false_alarm_tail=self.false_alarm_tail,
             doppler=self.doppler,
             doppler_span=2 * problem.doppler_limit,
+            correlation=self.correlation,
             detection_probability=detection.probability if isinstance(detection, ConstantDetection) else 0.9,
         )
 
