@@ -242,6 +242,16 @@ def test_linearized_motion(motion):
     np.testing.assert_allclose(np.cov(after.T), expected, atol=0.02 * expected.max())
 
 
+@pytest.mark.parametrize("motion", [ConstantVelocity(0.1, 0.3), SpeedHeading(0.5, 0.2, 0.05)])
+def test_slopes_of_a_pose(motion):
+    mean = np.array([1.0, 2, 3, -2, 0.5, 0.7, 4])[: 7 if isinstance(motion, ConstantVelocity) else 6]
+    pose, slopes = Dynamics(motion).pose(mean)
+    for j, step in enumerate(1e-6 * np.eye(len(mean))):
+        ends = motion.rebuild(np.array([mean + step, mean - step]))
+        np.testing.assert_allclose(slopes[:, j], (ends[0] - ends[1]) / 2e-6, atol=1e-8)
+    np.testing.assert_array_equal(pose, motion.rebuild(mean[None])[0])
+
+
 def test_the_proposal_is_the_kalman_update_of_every_component():
     rng = np.random.default_rng(2)
     a, b = rng.standard_normal((2, 4, 4))

@@ -7,6 +7,7 @@ as paper B does, :class:`SpeedHeading` carries it as a state of its own, which s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -69,6 +70,13 @@ class ConstantVelocity:
             vertical_increment=self.vertical_increment * root, bias_walk=self.bias_walk * root,
         )  # fmt: skip
 
+    def slopes(self, pose: np.ndarray) -> np.ndarray:
+        """(8, 7) derivatives of a particle by its free coordinates."""
+        by = np.eye(SIZE, 7)
+        square = max(pose[3] ** 2 + pose[4] ** 2, 1e-24)
+        by[HEADING, 3], by[HEADING, 4] = -pose[4] / square, pose[3] / square
+        return by
+
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 7) free coordinates: position, velocity, bias."""
         return x[:, :HEADING]
@@ -128,6 +136,14 @@ class SpeedHeading:
             self, interval=self.interval * pace, speed_walk=self.speed_walk * root, heading_walk=self.heading_walk * root,
             position_walk=self.position_walk * root, bias_walk=self.bias_walk * root,
         )  # fmt: skip
+
+    def slopes(self, pose: np.ndarray) -> np.ndarray:
+        """(8, 6) derivatives of a particle by its free coordinates."""
+        by = np.zeros((SIZE, 6))
+        by[[0, 1, 2, HEADING, BIAS], [0, 1, 2, 4, 5]] = 1.0
+        by[3, 3], by[4, 3] = math.cos(pose[HEADING]), math.sin(pose[HEADING])
+        by[3, 4], by[4, 4] = -pose[4], pose[3]
+        return by
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
         """(N, 6) free coordinates: position, speed, heading about its circular mean, bias."""

@@ -70,6 +70,15 @@ def log_loss(form, pose, qx, qy, qz, anchor):
 
 
 @compiled
+def log_losses(form, pose, center, anchor):
+    """:func:`log_loss` of rows (R,) at center (R, 3)."""
+    out = np.empty(form.shape[0])
+    for r in range(form.shape[0]):
+        out[r] = log_loss(form[r], pose, center[r, 0], center[r, 1], center[r, 2], anchor)
+    return out
+
+
+@compiled
 def _missed(table, u):
     place = abs(u) / table.step
     last = table.missed.shape[0] - 1

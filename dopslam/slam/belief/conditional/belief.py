@@ -144,11 +144,8 @@ class Dynamics:
 
     def pose(self, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose (8,) and its Jacobian (8, c)."""
-        c = len(mean)
-        poses = self.motion.rebuild(mean + np.concatenate([np.zeros((1, c)), _STEP * np.eye(c), -_STEP * np.eye(c)]))
-        difference = poses[1 : 1 + c] - poses[1 + c :]
-        difference[:, 7] = wrap(difference[:, 7])
-        return poses[0], np.ascontiguousarray(difference.T / (2 * _STEP))
+        pose = self.motion.rebuild(mean[None])[0]
+        return pose, self.motion.slopes(pose)
 
 
 def uncertain(dynamics: Dynamics, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam.models.measurement import wrap
-from dopslam.slam.belief.conditional.amplitude import log_loss
+from dopslam.slam.belief.conditional.amplitude import log_losses
 from dopslam.slam.belief.conditional.belief import Belief
 from dopslam.slam.belief.motion import BIAS, HEADING, POSITION, VELOCITY
 from dopslam.slam.belief.records import Estimate, Parameters
@@ -19,22 +19,19 @@ def estimate_of(parameters: Parameters, belief: Belief, pose: np.ndarray, by_coo
     slope = by_coordinate[:, belief.active]
     covariance = slope @ belief.covariance @ slope.T
     state = [0, 1, HEADING, BIAS]
-    chart, types = belief.map, list(parameters.types)
-    exists = chart.existence
-    declared = [k for k in range(1, len(exists)) if exists[k] > parameters.detection_threshold]
+    chart, types = belief.map, [int(form) for form in parameters.types]
+    exists, first = chart.existence, chart.first
+    declared = 1 + np.flatnonzero(exists[1:] > parameters.detection_threshold)
     type_belief, best = np.zeros((len(declared), len(types))), np.zeros(len(declared), int)
-    for i, k in enumerate(declared):
-        rows = np.arange(chart.first[k], chart.first[k + 1])
-        for r in rows:
-            type_belief[i, types.index(chart.form[r])] = chart.weight[r] / exists[k]
-        best[i] = rows[np.argmax(chart.weight[rows])]
     feature_covariance = np.zeros((len(declared), 3, 3))
-    for i, r in enumerate(best):
+    for i, k in enumerate(declared):
+        low, high = first[k], first[k + 1]
+        for r in range(low, high):
+            type_belief[i, types.index(chart.form[r])] = chart.weight[r] / exists[k]
+        best[i] = r = low + int(chart.weight[low:high].argmax())
         at = slice(3 * r, 3 * r + 3)
-        gain = chart.gain[at]
-        feature_covariance[i] = chart.spread[at, at] + gain @ belief.covariance @ gain.T
-    anchor = np.asarray(parameters.anchor, float)
-    loss = np.array([log_loss(chart.form[r], pose, *chart.center[r], anchor) for r in best])
+        feature_covariance[i] = chart.spread[at, at] + chart.gain[at] @ belief.covariance @ chart.gain[at].T
+    loss = log_losses(chart.form[best], pose, chart.center[best], np.asarray(parameters.anchor, float))
     return Estimate(
         position=pose[POSITION].copy(),
         covariance=covariance[POSITION, POSITION],

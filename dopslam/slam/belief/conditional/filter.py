@@ -18,7 +18,7 @@ from dopslam.models.detection import SnrDetection
 from dopslam.slam.association.loopy import Association, loopy_association
 from dopslam.slam.belief.belief import effective_size, normalized, systematic
 from dopslam.slam.belief.conditional import particles as sampling
-from dopslam.slam.belief.conditional.amplitude import amplitude_messages, amplitude_table, log_loss
+from dopslam.slam.belief.conditional.amplitude import amplitude_messages, amplitude_table, log_loss, log_losses
 from dopslam.slam.belief.conditional.belief import Belief, Dynamics, empty_map, predict_map, uncertain
 from dopslam.slam.belief.conditional.births import births
 from dopslam.slam.belief.conditional.estimate import estimate_of
@@ -130,7 +130,7 @@ class Conditional:
         chart = prior.map
         slopes = linearized_rows(chart.form, chart.center, pose, by_coordinate, anchor, rows)
         mean = prior.mean[prior.active]
-        loss = np.array([log_loss(f, pose, *x, anchor) for f, x in zip(chart.form, chart.center, strict=True)])
+        loss = log_losses(chart.form, pose, chart.center, anchor)
         u = chart.reference[:, 0] * np.exp(-0.5 * loss)
         variance = chart.reference[:, 1] * np.exp(-loss) + (parameters.amplitude_walk * u) ** 2
         log_amplitude, amplitudes = amplitude_messages(
@@ -247,7 +247,7 @@ class Conditional:
         mean = np.sum(p * amplitudes[:, :, 0], axis=1)
         variance = np.sum(p * (amplitudes[:, :, 1] + (amplitudes[:, :, 0] - mean[:, None]) ** 2), axis=1)
         pose, _ = self.dynamics.pose(whole)
-        loss = np.exp([log_loss(f, pose, *x, anchor) for f, x in zip(chart.form, center, strict=True)])
+        loss = np.exp(log_losses(chart.form, pose, center, anchor))
         return np.column_stack([mean * np.sqrt(loss), variance * loss])
 
     def _resample(self, rng, posterior: Belief, prior: Belief, centers, noise, exact, rows):
@@ -335,7 +335,7 @@ class Conditional:
         fine = counts > 0
         z = scan.amplitude[likely][m]
         forms = self._forms[t]
-        loss = np.exp([log_loss(f, pose, *q, anchor) for f, q in zip(forms, x[m, t], strict=True)])
+        loss = np.exp(log_losses(forms, pose, x[m, t], anchor))
         noise = self.parameters.amplitude.variance(z)
         labels = belief.next_label + np.arange(int(fine.sum()))
         chart = chart.joined(
