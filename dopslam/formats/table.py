@@ -55,6 +55,7 @@ import numpy as np
 
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
+from dopslam.formats import matlab
 from dopslam.formats.possible import QUANTITIES, refuse_impossible
 from dopslam.formats.times import snapshots
 from dopslam.models import unmeasured
@@ -170,9 +171,7 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
     path = Path(path)
     try:
         if path.suffix.lower() == ".mat":
-            from scipy.io import loadmat
-
-            found = {k: np.asarray(v).ravel() for k, v in loadmat(path).items() if not k.startswith("__")}
+            found = matlab.vectors(path)
         else:
             with open(path, newline="", encoding="utf-8-sig") as file:
                 header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
