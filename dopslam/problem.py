@@ -19,6 +19,8 @@ from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.records import TYPES, Assumptions
 from dopslam.slam.filter import Filter, Problem
 
+FREE_CLOCK = 1e5  # m per step: what stands for anything, and leaves a filter its digits
+
 
 def true_motion(scenario: Scenario) -> CoordinatedTurn:
     """Coordinated turn, eq. (1), that tracks are drawn from."""
@@ -30,13 +32,22 @@ def motion(scenario: Scenario) -> CoordinatedTurn:
     """Coordinated turn, eq. (1), as the filter believes it.
 
     Speed and turn rate are the scenario's and known, or with ``filter.motion = "unknown"`` in the state, where they
-    walk from step to step.
+    walk from step to step. With ``"walk"`` the receiver stands still but for large process noise: snapshots, people; its
+    heading says nothing about its course, and Doppler is left out. With ``filter.clock = "free"`` the clock bias is
+    anything at every step.
     """
     true, config = true_motion(scenario), scenario.filter
+    noise = np.array(true.process_noise)
+    if config.clock == "free":
+        noise[3, 3] = FREE_CLOCK**2
+    if config.motion == "walk":
+        stride = config.position_walk or max(true.speed * true.interval, float(np.sqrt(noise[0, 0])))
+        noise[[0, 1, 2], [0, 1, 2]] = np.square([stride, stride, config.heading_walk])
+        return CoordinatedTurn(true.interval, noise)
     if config.motion == "known":
-        return true
+        return replace(true, process_noise=noise)
     walks = (config.speed_walk, config.turn_rate_walk)
-    return replace(true, process_noise=np.diag(np.square([*scenario.track.process_std, *walks])))
+    return replace(true, process_noise=block_diag(noise, np.diag(np.square(walks))))
 
 
 def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +63,7 @@ def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
 def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
     """Mean (n,) and covariance (n, n) of what a filter knows at the start; n as in :func:`motion`."""
     (mean, covariance), track, config = start(scenario, reading), scenario.track, scenario.filter
-    if config.motion == "known":
+    if config.motion != "unknown":
         return mean, covariance
     more = [config.speed_std, config.turn_rate_std]
     return np.append(mean, [track.speed, track.turn_rate]), block_diag(covariance, np.diag(np.square(more)))
@@ -192,7 +203,7 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
     values = config.model_dump(exclude={"options"}) | {
         "assumptions": assumptions(belief, "single_bounce"),
         "false_alarm_tail": 0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
-        "doppler": doppler,
+        "doppler": doppler and config.motion != "walk",
     }
     return kind(**{key: value for key, value in (values | config.options).items() if key in own})
 

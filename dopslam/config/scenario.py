@@ -212,7 +212,11 @@ class Filter(Frozen):
     birth_va: NonNegative = 0.0  # m⁻³ per step, added to the intensity of undetected virtual anchors
     birth_sp: NonNegative = 0.0
     thinning: bool = False  # reduce the undetected intensity inside the field of view after every scan
-    motion: Literal["known", "unknown"] = "known"  # speed and turn rate: known, or in the state
+    # Speed and turn rate known, or in the state; walk: neither, positions and headings wander from scan to scan.
+    motion: Literal["known", "unknown", "walk"] = "known"
+    clock: Literal["walk", "free"] = "walk"  # free: the clock bias is drawn anew at every scan
+    position_walk: Spread | None = None  # m per step of a walk; default what the speed covers in a period
+    heading_walk: Spread = 0.5  # rad per step of a walk
     speed_std: Spread = 2.0  # m/s, initial, when unknown
     turn_rate_std: Spread = 0.03  # rad/s
     speed_walk: Spread = 0.1  # m/s per step

@@ -317,8 +317,8 @@ def slam(
 
 
 def uses_doppler(scenario: Scenario, name: str) -> bool:
-    """Whether a filter can use Doppler."""
-    return build.chosen_filter(scenario, name).capabilities.doppler
+    """Whether a filter can use Doppler: without a velocity in its motion model nobody can."""
+    return build.chosen_filter(scenario, name).capabilities.doppler and scenario.filter.motion != "walk"
 
 
 def whole_run(scenario: Scenario, name: str) -> bool:

@@ -94,3 +94,18 @@ def test_the_joint_filter_smoothed_over_the_whole_run_is_nearer_than_itself(simu
     errors = {name: np.sqrt(np.mean(evaluations[name].position_error ** 2)) for name in ("joint", "interval")}
     assert errors["interval"] < errors["joint"]
     assert evaluations["interval"].nees.mean() < 12
+
+
+def test_a_walk_and_a_free_clock_are_what_the_filter_believes(simulated):
+    """Nothing is told of speed and turn rate, nor of the clock: the positions are found all the same, less sharply."""
+    free = ["filter.motion=walk", "filter.clock=free", "filter.start=snapshot"]
+    told = problem(load("ring_road", ["source.kind=model", "track.steps=10", *free]))
+    assert told.motion.speed == 0
+    np.testing.assert_allclose(np.sqrt(np.diag(told.motion.process_noise))[:3], [11.11, 11.11, 0.5])
+    assert told.motion.process_noise[3, 3] >= 1e4
+    variant = stages.slam(simulated, free, "batch")
+    assert variant == "batch, no Doppler"
+    history = stages.histories(simulated)[variant]
+    track = dataset.read_record(simulated, "track", Track)
+    error = np.hypot(*(history.mean[:, :2] - track.position[:, :2]).T)
+    assert np.sqrt(np.mean(error**2)) < 4.0
