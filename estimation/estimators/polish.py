@@ -48,15 +48,18 @@ class CellProjector:
         self.model, self.grid = model, grid
         self.filtered = filtered.reshape(len(filtered), -1)
         self.first = grid.around(delay)
-        # The search may have put symbols in an order of its own.
-        self.restore = None if gather is None else np.argsort(gather)
+        # The search may have put symbols in an order of its own, and left some out.
+        self.gather = gather
 
     def inner(self, geometry: Geometry, blocks: Blocks, index):
         """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
         partial = self.at_delay(blocks[0][0], index)
-        if self.restore is not None:
-            shape = partial.shape
-            partial = partial.reshape(*shape[:2], len(self.restore), -1)[:, :, self.restore].reshape(shape)
+        if self.gather is not None:
+            lead = partial.shape[:2]
+            kept = partial.reshape(*lead, len(self.gather), -1)
+            partial = np.zeros((*lead, self.model.schedule.symbols, kept.shape[3]), kept.dtype)
+            partial[:, :, self.gather] = kept
+            partial = partial.reshape(*lead, -1)
         return project_rest(self.model, partial, blocks[0])
 
     def at_delay(self, vectors, index):

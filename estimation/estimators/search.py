@@ -145,7 +145,8 @@ class StagedSearch:
         arrival, departure = (v / np.maximum(np.linalg.norm(v, axis=0), 1e-300) for v in vectors)
         speeds = speed_grid(model, max_speed, oversampling)
         phase = -2 * np.pi / waveform.wavelength * schedule.times[slots[:, :, 0]].T[:, :, None] * speeds
-        gather = None if len(settings) == 1 else slots.ravel()
+        # Where a symbol was lost the search does without those that would make up for it; fits use all that there are.
+        gather = None if len(settings) == 1 and slots.size == schedule.symbols else slots.ravel()
         first = slots[:, :, 0]
         order = (first if gather is None else np.arange(first.size).reshape(first.shape)).T
         return StagedSearch(
@@ -184,7 +185,8 @@ class StagedSearch:
         for mode in modes[2:]:
             right = (right[:, :, None] * mode[:, None, 0].astype(C64)).reshape(len(gain), -1)
         if self.gather is not None:
-            right = right.reshape(len(gain), len(self.gather), -1)[:, self.gather].reshape(len(gain), -1)
+            width = filtered[0].size // len(self.gather)
+            right = right.reshape(len(gain), -1, width)[:, self.gather].reshape(len(gain), -1)
         rows = filtered.reshape(len(filtered), -1)
         out = np.empty_like(rows) if spare is None else spare.reshape(rows.shape)
         return subtracted(rows, left.T, right, out).reshape(filtered.shape)

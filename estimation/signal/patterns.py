@@ -112,6 +112,21 @@ class EadfArray:
         return EadfArray(series[:, keep][:, :, keep], orientation)
 
     @staticmethod
+    def from_table(responses: Complex, orientation: Rotation | None = None) -> EadfArray:
+        """From a table with both poles: responses (M, n + 1, 2 n) at ``theta = pi i / n`` and ``az = 2 pi j / (2 n)``."""
+        responses = np.asarray(responses, complex)
+        if responses.ndim != 3 or responses.shape[1] < 3 or responses.shape[2] != 2 * (responses.shape[1] - 1):
+            raise ModelError(
+                "EadfArray: a table with poles must be (M, n + 1, 2 n) over co-elevation 0 to pi and azimuth, got "
+                f"{responses.shape}"
+            )
+        count = responses.shape[1] - 1
+        full = np.concatenate([responses, np.roll(responses[:, -2:0:-1], count, axis=2)], axis=1)
+        series = np.fft.fft2(full, axes=(1, 2)) / full[0].size
+        keep = np.arange(1 - count, count)
+        return EadfArray(series[:, keep][:, :, keep], orientation)
+
+    @staticmethod
     def from_array(array: Manifold, count: int = 48) -> EadfArray:
         """Sampled from another array (a simulated calibration)."""
         theta = np.pi * (np.arange(count) + 0.5) / count

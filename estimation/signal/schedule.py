@@ -68,12 +68,13 @@ class Schedule:
         return len(self.times)
 
     def slots(self) -> Index:
-        """Symbol numbers (B, Q, S) by sweep, precoder and combiner.
+        """Symbol numbers (B, Q, S) by sweep, precoder and combiner: as many of each pair as there are of the rarest (a
+        symbol may have been lost).
 
         Raises
         ------
         ModelError
-            if not every pair of precoder and combiner in use occurs equally often.
+            if a pair of a precoder and a combiner in use never occurs.
         """
         q = np.zeros(self.symbols, int) if self.precoder_index is None else self.precoder_index
         s = np.zeros(self.symbols, int) if self.combiner_index is None else self.combiner_index
@@ -81,12 +82,14 @@ class Schedule:
         settings, s = np.unique(s, return_inverse=True)
         pair = q * len(settings) + s
         uses = np.bincount(pair, minlength=len(beams) * len(settings))
-        if np.ptp(uses):
+        if not uses.min():
             raise ModelError(
-                "Schedule: a staged search needs every pair of beam and combiner equally often; "
-                f"here between {uses.min()} and {uses.max()} times"
+                "Schedule: a staged search needs every pair of beam and combiner at least once; "
+                f"here {int(np.sum(uses == 0))} of {len(uses)} never occur"
             )
-        order = np.lexsort((self.times, pair)).reshape(len(beams), len(settings), uses[0])
+        order = np.lexsort((self.times, pair))
+        first = np.concatenate([[0], np.cumsum(uses)[:-1]])
+        order = order[first[:, None] + np.arange(uses.min())].reshape(len(beams), len(settings), uses.min())
         return np.moveaxis(order, 2, 0)
 
 

@@ -12,6 +12,9 @@ from estimation import (
     DipolePattern,
     EadfArray,
     ModelError,
+    Nomp,
+    PathTable,
+    Schedule,
     ScheduleWarning,
     SignalModel,
     View,
@@ -24,10 +27,14 @@ from estimation import (
     outward,
     random_phase_beams,
     sweep,
+    synthesize,
     ula,
+    unit_vectors,
     ura,
 )
 from estimation.estimators.report import turned
+from estimation.evaluate import associate
+from estimation.scenarios import at_snr
 from estimation.signal.directions import displaced, sphere, tangents
 
 TURNED = Rotation.from_euler("zy", [40, 20], degrees=True)
@@ -117,11 +124,36 @@ def test_bad_schedules_are_named(options, message):
         sweep(np.eye(4), 2, 1e-5, **options)
 
 
-def test_unequal_use_of_beams_has_no_slots():
-    from estimation import Schedule
+def test_a_lost_symbol_costs_the_search_one_use_of_each_beam():
+    slots = Schedule(np.arange(5.0), np.eye(2), np.array([0, 1, 0, 1, 0])).slots()
+    assert slots.tolist() == [[[0], [1]], [[2], [3]]]
+    with pytest.raises(ModelError, match="1 of 4 never occur"):
+        combiners = np.stack([np.eye(2), np.eye(2)])
+        Schedule(np.arange(3.0), np.eye(2), np.array([0, 1, 0]), combiners, np.array([0, 0, 1])).slots()
 
-    with pytest.raises(ModelError, match="equally often"):
-        Schedule(np.arange(5.0), np.eye(2), np.array([0, 1, 0, 1, 0])).slots()
+
+def test_a_swept_link_with_lost_symbols_finds_its_paths():
+    rng = np.random.default_rng(3)
+    whole = sweep(random_phase_beams(8, 8, rng), 6, 35e-6, rng=rng)
+    kept = np.delete(np.arange(48), [7, 30])
+    schedule = Schedule(whole.times[kept], whole.precoders, whole.precoder_index[kept])
+    model = SignalModel(comb(28e9, 4e6, 32), schedule, cylinder(8, 1), ura(2, 2))
+    path = at_snr(model, PathTable([6e-8], [[0.3, 0.2]], [[-0.9, 0.4]], [8.0], [1.0]), [1e3])
+    found = Nomp(model, threshold=22.0).run(synthesize(model, path, 1.0, rng))
+    match = associate(model, found, path, 1.0)
+    assert match.detected.all() and match.false == 0
+
+
+def test_a_table_may_hold_the_poles():
+    array = cylinder(8, 2)
+    count = 24
+    az, theta = np.meshgrid(np.pi * np.arange(2 * count) / count, np.pi * np.arange(count + 1) / count)
+    directions = unit_vectors(np.stack([az, np.pi / 2 - theta], axis=-1)).reshape(-1, 3)
+    table = array.response(directions)[0].T.reshape(16, count + 1, 2 * count)
+    probe = sphere(50)
+    assert np.abs(EadfArray.from_table(table).response(probe)[0] - array.response(probe)[0]).max() < 1e-3
+    with pytest.raises(ModelError, match="with poles"):
+        EadfArray.from_table(table[:, 1:])
 
 
 def test_directions_behind_a_planar_array_look_as_those_in_front():
