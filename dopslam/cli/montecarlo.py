@@ -80,12 +80,14 @@ def montecarlo(
         with workers(cluster) as threads:
             belief_study(scene, scenario, flags, runs, seed, threads or worker_count(jobs), json)
         return
+    from dopslam.pipeline.reads import refuse_unread
     from dopslam.report import tables
     from dopslam.report.folder import write_json
     from dopslam.slam.filter import uses_doppler
     from dopslam.studies.montecarlo import run_study, summarize, warm_up
     from dopslam.studies.summary import study
 
+    refuse_unread(lambda chosen: load(scene, chosen), settings or (), ("montecarlo",), names)
     doppler, std = doppler_choice(doppler_std)
     results = {}
     with workers(cluster) as threads:

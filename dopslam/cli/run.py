@@ -67,17 +67,20 @@ def run(
     from dopslam.config.scenario import load
     from dopslam.pipeline import file as stages
     from dopslam.pipeline.look import look_at
+    from dopslam.pipeline.reads import refuse_unread
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)
     names = filter_names(filters)
-    flags = overrides(
-        settings,
-        source__kind=source,
-        filter__density=repr(names[0]) if names else None,
-        source__model__doppler_std=None if std is None else str(std),
-    )
-    scenario = load(scene, flags)
+
+    def made(chosen: list[str] | None):
+        flags = {"source__kind": source, "source__model__doppler_std": None if std is None else str(std)}
+        return load(scene, overrides(chosen, **flags, filter__density=repr(names[0]) if names else None))
+
+    scenario = made(settings)
+    wanted = names or list(dict.fromkeys(["joint", "marginal", scenario.filter.density]))
+    before = ["simulate"] if scenario.source.kind == "model" else ["trace", "estimate"]
+    refuse_unread(made, settings or (), [*before, "bound", "evaluate", "slam"], wanted)
     console = Console(markup=False)
     if scenario.derived:
         console.print(f"derived: {derived_text(scenario.derived)}", highlight=False)
@@ -114,11 +117,11 @@ def run(
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
-            wanted = stages.variants_of(scenario, names or ["joint", "marginal", scenario.filter.density], used)
-            for done, (name, doppler) in enumerate(wanted):
-                progress("slam", done, len(wanted))  # the very first run compiles for a minute
+            variants = stages.variants_of(scenario, wanted, used)
+            for done, (name, doppler) in enumerate(variants):
+                progress("slam", done, len(variants))  # the very first run compiles for a minute
                 tried(stages.variant_name(name, doppler), "slam", stages.slam, data, (), name, doppler)
-            progress("slam", len(wanted), len(wanted))
+            progress("slam", len(variants), len(variants))
         for doppler in (True, False) if used else (False,):
             tried(stages.bound_name(doppler), "bound", stages.bound, data, (), doppler)
         start = time.perf_counter()

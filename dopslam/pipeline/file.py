@@ -16,6 +16,7 @@ from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name
+from dopslam.pipeline.reads import refuse_unread
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
 from dopslam.report import figures, folder, page, replay, tables
@@ -24,10 +25,19 @@ from dopslam.store import file as dataset
 from dopslam.store.place import refuse_unwritable
 
 
-def scenario_of(path: Path, settings=()) -> tuple[Scenario, int]:
-    """The scenario and seed a dataset was made with, with later ``--set`` applied."""
+def scenario_of(path: Path, settings=(), stage: str = "", names: Sequence[str] = ()) -> tuple[Scenario, int]:
+    """The scenario and seed a dataset was made with, with later ``--set`` applied; what ``stage`` does not read is refused.
+
+    Raises
+    ------
+    ConfigError
+        If a setting changes nothing of what the stage is handed.
+    """
     text, seed = dataset.read_root(path)
-    return override(parse(text, source=str(path)), settings), seed
+    stored = parse(text, source=str(path))
+    if stage:
+        refuse_unread(lambda chosen: override(stored, chosen), settings, (stage,), names)
+    return override(stored, settings), seed
 
 
 def trace(path: Path, scenario: Scenario, seed: int, progress: Progress = quiet) -> None:
@@ -62,7 +72,7 @@ def _check_new(path: Path) -> None:
 
 def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
     """Add the received signal of every step."""
-    scenario, seed = scenario_of(path, settings)
+    scenario, seed = scenario_of(path, settings, "synthesize")
     refuse_unwritable(path)
     track, paths = _read(path, track=Track, paths=Paths)
     dataset.write_signal(path, pipeline.synthesize(scenario, track, paths, seed, progress), paths.steps)
@@ -70,7 +80,7 @@ def synthesize(path: Path, settings=(), progress: Progress = quiet) -> None:
 
 def estimate(path: Path, settings=(), jobs: int = 1, progress: Progress = quiet) -> None:
     """Add the detections of every snapshot, from the stored signal or, without one, from the signal of the paths."""
-    scenario, seed = scenario_of(path, settings)
+    scenario, seed = scenario_of(path, settings, "estimate")
     refuse_unwritable(path)
     stored = dataset.signal_steps(path)
     if stored:
@@ -139,7 +149,7 @@ def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detec
 
 def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool = True) -> str:
     """Add the history of one filter variant; returns its name (:func:`why_lost` says whether it can be trusted)."""
-    scenario, seed = scenario_of(path, settings)
+    scenario, seed = scenario_of(path, settings, "slam", (filter_name,) if filter_name else ())
     refuse_unwritable(path)
     detections = blurred(scenario, read_detections(path), seed)
     filter_name = filter_name or scenario.filter.density
@@ -170,7 +180,7 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
 
     Two of them: of what a step can know from the detections up to it, and from those of the whole run.
     """
-    scenario, seed = scenario_of(path, settings)
+    scenario, seed = scenario_of(path, settings, "bound")
     refuse_unwritable(path)
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
@@ -191,7 +201,7 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     With ``failed`` (name → why) a variant that cannot be judged is added to it, and the others are; the summary holds
     it.
     """
-    scenario, seed = scenario_of(path, settings)
+    scenario, seed = scenario_of(path, settings, "evaluate")
     track, landmarks, paths, _ = read_truth(path)
     have = dataset.groups(path)
     found = histories(path)
