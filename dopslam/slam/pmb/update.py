@@ -27,6 +27,10 @@ from dopslam.slam.pmb.projection import cap_existence, drop_cross_covariances, m
 
 Array = NDArray[np.float64]
 
+DOUBLE = (
+    0.8  # likelihood of a miss of a landmark beside a detection in its cell that it does not explain, over that of none
+)
+
 
 class Workspace(NamedTuple):
     """Arrays of one measurement's linear update, sized once per step."""
@@ -56,10 +60,8 @@ def workspace(m, n, size):
 
 @compiled
 def _innovate(z, noise, scale, mean, covariance, n, block, kind, point, around, model, work):
-    """Whiten one innovation with `scale` times R, linearized at `point` (its Gaussian `around`, for cubature);
-    ln N(ν; 0, S) and νᵀS⁻¹ν.
-
-    Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
+    """Whiten one innovation with `scale` times R, linearized at `point` (its Gaussian `around`, for cubature); νᵀS⁻¹ν and
+    ln N(ν; 0, S). Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
     """
     m = z.shape[0]
     linearize_block(point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra)
@@ -112,9 +114,7 @@ def _absorb(mean, covariance, work):
 
 @compiled
 def _absorb_block(mean, covariance, n, block, work):
-    """The same for one landmark block alone; the UE and all others stay, their cross-covariances with it
-    follow.
-    """
+    """The same for one landmark block alone; all others stay, their cross-covariances with it follow."""
     m = work.nu.shape[0]
     size = mean.shape[0]
     start = start_of(n, block)
@@ -248,7 +248,8 @@ def weights_after(density, local, scan, association, model, weight, reference, d
 
     A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1. A distorted detection
     leaves the existence alone and counts as a miss for the sight, so that what goes on beside a landmark that has gone
-    becomes a landmark of its own.
+    becomes a landmark of its own. Nothing hides a landmark and not what is seen within its resolution cell: such a miss
+    counts against its existence (`DOUBLE`), until of two tracks of one path the one that is seen is left.
     """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
@@ -261,6 +262,18 @@ def weights_after(density, local, scan, association, model, weight, reference, d
     for t in range(1, tracks):
         for b in range(local.first[t], local.first[t + 1]):
             weight[b] *= (1.0 - local.detection[b]) / math.exp(local.log_missed[t])
+    for t in range(1, tracks):
+        missed, beside = True, False
+        for p in range(scan.z.shape[0]):
+            missed = missed and association[p] != t
+            for b in range(local.first[t], local.first[t + 1]):
+                beside = beside or local.cell[p, b]
+        if missed and beside:
+            existence = 0.0
+            for b in range(local.first[t], local.first[t + 1]):
+                existence += weight[b]
+            for b in range(local.first[t], local.first[t + 1]):
+                weight[b] *= DOUBLE / (1.0 - existence + DOUBLE * existence)
     for p in range(scan.z.shape[0]):
         t = association[p]
         if t < 0:
