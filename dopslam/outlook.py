@@ -1,7 +1,8 @@
 """What a run will see, from a few traced steps, before anything is estimated: landmarks, their strength, and what is in the
 way of them.
 
-Everything here is told, with its remedy; what would end a run is found by :mod:`dopslam.preflight`.
+All of it is told with a remedy, and none ends a run, but that no path is seen at all; what else would is found by
+:mod:`dopslam.preflight`.
 """
 
 from __future__ import annotations
@@ -217,6 +218,12 @@ def _close(landmarks: Landmarks, paths: Paths, close: np.ndarray, steps: np.ndar
 
 def _dark(paths: Paths, rho: np.ndarray, steps: np.ndarray) -> list[Finding]:
     """Steps at which there is too little to find a position from."""
+    if not any(paths.rows(step).stop > paths.rows(step).start for step in steps):
+        what = (
+            f"no path leads from the base station to the receiver at any of the {len(steps)} steps looked at; one of them is "
+            "outside of the walls, or hidden: see base_station.position, [track] start and receiver.height"
+        )
+        return [Finding("scene", what)]
     counts = np.array([int((rho[paths.rows(step)] > THRESHOLD).sum()) for step in steps])
     if not np.any(counts < 2):
         return []

@@ -138,5 +138,6 @@ def test_a_scene_is_looked_at_before_it_is_run(tmp_path, call, capsys):
     shown = capsys.readouterr().out
     assert "VA wall_north" in shown and "derived:" in shown
     assert call("check", tmp_path, "--set", "base_station.position=[100, 0, 1]") == 2
+    assert "outside of the walls" in capsys.readouterr().out
     found = look(parse((tmp_path / "scenario.toml").read_text()))
     assert found.landmarks[0].name == "BS"

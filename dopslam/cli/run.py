@@ -68,6 +68,7 @@ def run(
     from dopslam.pipeline import file as stages
     from dopslam.pipeline.look import look_at
     from dopslam.pipeline.reads import refuse_unread
+    from dopslam.preflight import refuse
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)
@@ -92,7 +93,7 @@ def run(
         seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
 
     failed: dict[str, str] = {}
-    foreseen: list[str] = []
+    foreseen: list = []
 
     def tried(name: str, stage: str, function, *arguments):
         """A variant that fails is named at the end; the others go on."""
@@ -111,9 +112,10 @@ def run(
                 timed("simulate", stages.simulate, data, scenario, seed)
             else:
                 timed("trace", stages.trace, data, scenario, seed, progress)
-                tried("look ahead", "trace", lambda: foreseen.extend(map(str, look_at(data).findings)))
+                tried("look ahead", "trace", lambda: foreseen.extend(look_at(data).findings))
                 for finding in foreseen:
                     console.print(f"note: {finding}", highlight=False, soft_wrap=True)
+                refuse([finding for finding in foreseen if finding.fatal])
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
@@ -128,7 +130,7 @@ def run(
         summary = None
         try:
             summary, evaluations = stages.evaluate(data, failed=failed)
-            summary |= {"derived": scenario.derived, "foreseen": foreseen}
+            summary |= {"derived": scenario.derived, "foreseen": [str(finding) for finding in foreseen]}
             summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
             stages.report(data, working, summary, evaluations)
         except Exception as error:  # what was computed is worth more than its report

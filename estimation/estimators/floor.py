@@ -145,4 +145,4 @@ def contracted(model: SignalModel, signal, unit, mode: int):
 def _overlap(first, second) -> Float:
     """Squared coherences (C, P) of vectors (C, n) and (P, n)."""
     norms = np.linalg.norm(first, axis=1)[:, None] * np.linalg.norm(second, axis=1)
-    return np.abs(first.conj() @ second.T) ** 2 / np.maximum(norms, 1e-300) ** 2
+    return np.abs(first.conj() @ second.T) ** 2 / np.maximum(norms, 1e-150) ** 2
