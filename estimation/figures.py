@@ -10,7 +10,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 
 def draw(study: str, result, path: Path) -> None:
-    """Draw one study's result into a PNG."""
+    """Draw one study's result into a PNG, if it is one to draw."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -26,7 +26,9 @@ def draw(study: str, result, path: Path) -> None:
         "speed": _speed,
         "search_loss": _loss,
         "swept": _weak,
-    }[study]
+    }.get(study)
+    if painter is None:
+        return
     figure = painter(plt, result)
     figure.tight_layout()
     figure.savefig(path, dpi=150)

@@ -21,7 +21,19 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-STUDIES = ("accuracy", "weak", "hybrid", "resolution", "false_alarms", "ambiguity", "speed", "search_loss", "swept")
+STUDIES = (
+    "accuracy",
+    "weak",
+    "hybrid",
+    "resolution",
+    "false_alarms",
+    "ambiguity",
+    "speed",
+    "search_loss",
+    "swept",
+    "random_links",
+    "wrong_model",
+)
 
 
 def main() -> None:
@@ -93,6 +105,10 @@ def run_study(name: str, options):
         return studies.search_loss(trials=2 * count)
     if name == "swept":
         return studies.swept(count)
+    if name in ("random_links", "wrong_model"):
+        from estimation import random_links
+
+        return random_links.right_model(50, count) if name == "random_links" else random_links.wrong_model(count)
     return studies.speed()
 
 
@@ -110,6 +126,13 @@ def show(name: str, result) -> None:
             print(
                 "          P_D "
                 + "  ".join(f"{b} dB {v['p_detect']:.3f}/{v['model']:.3f}" for b, v in r["p_detect"].items())
+            )
+    elif name == "random_links":
+        for r in result:
+            print(
+                f"  {r['link']:3d} {str(tuple(r['shape'])):22s} "
+                + " ".join(f"{v:.2f}" for v in r["rmse_over_crb"].values())
+                + f"  NEES/6 {r['nees_over_6']:.2f}  false {r['false_per_snapshot']:.3f}  found {r['found']:.3f}"
             )
     else:
         print("  " + json.dumps(result)[:1500])
