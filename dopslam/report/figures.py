@@ -18,6 +18,7 @@ from dopslam.models.measurement import wrap
 from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
 
 TRUE, ESTIMATE, BOUND, VA, SP, RAY, WALL = "#000000", "#0072B2", "#D55E00", "#E69F00", "#009E73", "#9aa5b1", "#6b7280"
+SR = "#CC79A7"
 _CHI2_95_2D = 5.991  # 95 % ellipse of a two-dimensional Gaussian
 
 
@@ -85,8 +86,15 @@ def plan_view(
     _walls(axes, history, bs, float(track.position[0, 2]), threshold)
     for mean, covariance in zip(history.mean, history.covariance, strict=True):
         _ellipse(axes, mean[:2], covariance[:2, :2], ESTIMATE, enlarged)
-    for kind, color, marker, name in ((Kind.VA, VA, "s", "virtual anchors"), (Kind.SP, SP, "o", "scatter points")):
-        where = landmarks.position[landmarks.kind == kind]
+    twice = (landmarks.kind == Kind.VA) & (landmarks.order > 1)
+    for kind, color, marker, name in (
+        (Kind.VA, VA, "s", "virtual anchors"),
+        (Kind.SP, SP, "o", "scatter points"),
+        (Kind.SR, SR, "D", "second reflections"),
+    ):
+        if kind == Kind.SR and not (twice.any() or (history.kind[last][shown] == kind).any()):
+            continue
+        where = landmarks.position[twice if kind == Kind.SR else (landmarks.kind == kind) & ~twice]
         axes.plot(*where[:, :2].T, marker, mfc="none", mec=TRUE, markersize=9, label=f"true {name}", linestyle="none")
         chosen = shown & (history.kind[last] == kind)
         where, spread = history.position[last][chosen], history.position_covariance[last][chosen]
