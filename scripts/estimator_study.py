@@ -130,7 +130,7 @@ def show(name: str, result) -> None:
     elif name == "random_links":
         for r in result:
             print(
-                f"  {r['link']:3d} {str(tuple(r['shape'])):22s} "
+                f"  {r['link']:3d} {tuple(r['shape'])!s:22s} "
                 + " ".join(f"{v:.2f}" for v in r["rmse_over_crb"].values())
                 + f"  NEES/6 {r['nees_over_6']:.2f}  false {r['false_per_snapshot']:.3f}  found {r['found']:.3f}"
             )
