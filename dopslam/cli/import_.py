@@ -67,10 +67,25 @@ def import_(
     if truth is not None:
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
     dataset.write_records(out, records, world.to_toml(), 0)
+    doubt = _doubt(found, records["base_stations"], world.receiver.height)
+    if doubt:
+        Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {doubt}")
     hint = "" if {"doppler", "radial_velocity"} & set(rule.columns) else " --doppler-std none"
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
     )
+
+
+def _doubt(found, stations, height: float) -> str | None:
+    """Whether the angles seem to count the other way round; silent where single scans have nothing to say."""
+    import numpy as np
+
+    from dopslam.slam.snapshot.conventions import check_conventions
+
+    try:
+        return check_conventions(found, stations, height).doubt
+    except np.linalg.LinAlgError:  # advice only: what is wrong with the covariances a filter will say
+        return None
 
 
 def _told_by(columns, rule, world, flags: list[str]) -> list[str]:
