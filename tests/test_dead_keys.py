@@ -76,6 +76,7 @@ CASES = [
     BASE["ring_road"],
     override(BASE["ring_road"], ["source.kind=model"]),
     override(BASE["ring_road"], UNUSUAL),
+    override(BASE["ring_road"], ["filter.motion=walk"]),
     BASE["pedestrian"],
     override(BASE["pedestrian"], ["belief.engine=stacked"]),
 ]
