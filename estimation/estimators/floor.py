@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..signal.directions import Float
-from ..signal.model import SignalModel, flat
+from ..signal.model import flat
 from ..signal.paths import Geometry
 from .projector import Projector
 from .refine import Linearization
@@ -48,6 +48,7 @@ class Floor:
     variance: float
     share: float = 0.0
     _fibers: dict[tuple[int, int], Float] = field(default_factory=dict, repr=False)
+    _heads: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
 
     def over(self, candidates: Geometry, statistic: Float) -> Float:
         """(C,) by how much the noise about candidates of that statistic is raised, at least 1."""
@@ -110,18 +111,29 @@ class Floor:
                 share[mode] = (energy - free) / strength
         return share
 
+    def _contracted(self, unit, mode: int, number: int | None):
+        data, last = flat(self.data.signal, self.data.model.bands[0]), len(unit) - 1
+        if mode == last or number is None:
+            return contracted(data, unit, mode).astype(complex)
+        # All other fibers of a path begin alike, with the pass over the data that costs most.
+        if number not in self._heads:
+            self._heads[number] = data @ unit[last].conj().astype(np.complex64)
+        return contracted(self._heads[number], unit[:last], mode).astype(complex)
+
     def _fiber(self, path: int, mode: int) -> Float:
         if (path, mode) not in self._fibers:
             assert self.known is not None
-            self._fibers[path, mode] = self.along(self.known.geometry.take([path]), mode)
+            self._fibers[path, mode] = self.along(self.known.geometry.take([path]), mode, path)
         return self._fibers[path, mode]
 
-    def along(self, path: Geometry, mode: int):
-        """Residual (n,) along ``mode`` in what the other modes of ``path`` (one) see, at the noise of a sample."""
+    def along(self, path: Geometry, mode: int, number: int | None = None):
+        """Residual (n,) along ``mode`` in what the other modes of ``path`` (one) see, at the noise of a sample; that of a
+        known path has its ``number``.
+        """
         model, known = self.data.model, self.known
         own = [m[0, 0] for m in model.evaluate(path)[0]]
         unit = [v / max(np.linalg.norm(v), 1e-300) for v in own]
-        fiber = contracted(model, self.data.signal, unit, mode)
+        fiber = self._contracted(unit, mode, number)
         if known is None:
             return fiber
         vectors = [m[:, 0] for m in known.blocks[0]]
@@ -129,9 +141,8 @@ class Floor:
         return fiber - (known.gain * np.prod(others, axis=0)) @ vectors[mode]
 
 
-def contracted(model: SignalModel, signal, unit, mode: int):
-    """A signal (whitened) times the conjugates of unit vectors in all modes but one, (n,)."""
-    data = flat(signal, model.bands[0])
+def contracted(data, unit, mode: int):
+    """Data with an axis per mode times the conjugates of unit vectors in all modes but one, (n,)."""
     single = [u.conj().astype(np.complex64) for u in unit]
     for axis in range(len(single) - 1, mode, -1):
         data = data.reshape(-1, data.shape[-1]) @ single[axis]
@@ -139,7 +150,7 @@ def contracted(model: SignalModel, signal, unit, mode: int):
     for axis in range(mode):
         data = single[axis] @ data.reshape(len(data), -1)
         data = data.reshape([len(u) for u in single[axis + 1 : mode + 1]])
-    return data.astype(complex)
+    return data
 
 
 def _overlap(first, second) -> Float:
