@@ -43,7 +43,7 @@ def test_a_long_lag_is_the_batch_estimate(world):
         steps=12,
     )
     _, scans = simulate(sure, 2, 0)
-    filter_parameters = ek_pmb.FilterParameters(intensity=(1e-7, 1e-25))
+    filter_parameters = ek_pmb.FilterParameters(intensity=(1e-7, 1e-25), robust=np.inf)
     arguments = (
         scans,
         (sure.prior_mean, sure.prior_covariance),

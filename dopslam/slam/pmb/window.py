@@ -91,6 +91,12 @@ def add_measurement(information, gradient, at, start, state, landmark, kind, z, 
     cost = 0.0
     for i in range(m):
         cost += white[i, d] * white[i, d]
+    if model.robust < np.inf and cost > m:  # Student-t beyond what is expected, as in the filter's update
+        root = np.sqrt((model.robust + m) / (model.robust + cost))
+        cost = m - 2.0 * (model.robust + m) * np.log(root)
+        for i in range(m):
+            for j in range(d + 1):
+                white[i, j] *= root
     if only_cost:
         return cost
     for a in range(d):
