@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from dopslam.config.scenario import Scenario
 
 LARGEST_SNAPSHOT = 50_000_000  # samples, 0.4 GB
+LARGEST_DOPPLER = 4000  # resolution widths; a search of 850 takes 8 s a snapshot
 
 
 def refuse(scenario: Scenario) -> None:
@@ -37,4 +38,12 @@ def refuse(scenario: Scenario) -> None:
         raise ValueError(
             f"radio.subcarriers × radio.comb × radio.subcarrier_spacing is a band of {band:.3g} Hz, more than "
             f"radio.carrier_frequency = {radio.carrier_frequency:g} Hz"
+        )
+    duration = radio.beams.beams * radio.beams.sweeps * radio.symbol_period
+    speed = scenario.estimator.max_radial_velocity
+    widths = 2 * speed * duration * radio.carrier_frequency / 299_792_458.0
+    if widths > LARGEST_DOPPLER:
+        raise ValueError(
+            f"estimator.max_radial_velocity = {speed:g} m/s both ways is {widths:.3g} times what {duration:.3g} s of "
+            f"symbols resolve; at most {LARGEST_DOPPLER} are searched"
         )

@@ -35,3 +35,17 @@ def refuse_impossible(path, z: np.ndarray, std: np.ndarray, row: np.ndarray) -> 
                 f"{path}: standard deviation {std[n, i]:g} (SI) of {QUANTITIES[i]} in data row {row[n] + 1} cannot be; "
                 "check its unit"
             )
+
+
+def refuse_strengths(path, snr: np.ndarray, order: np.ndarray) -> None:
+    """Refuse SNRs (N,), linear, that no receiver measures; ``order`` (N,) is the data row that each came from."""
+    wrong = ~((snr >= WEAKEST) & (snr <= STRONGEST))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise DatasetError(
+            f"{path}: data row {order[row] + 1}: its SNR is {snr[row]:.3g} (linear), outside {WEAKEST:g} to {STRONGEST:g}; "
+            "check units.snr or units.power (linear or dB), offsets and noise_floor_db"
+        )
+
+
+WEAKEST, STRONGEST = 1e-9, 1e15  # post-integration SNR

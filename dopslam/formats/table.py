@@ -56,7 +56,7 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.formats import matlab
-from dopslam.formats.possible import QUANTITIES, refuse_impossible
+from dopslam.formats.possible import QUANTITIES, refuse_impossible, refuse_strengths
 from dopslam.formats.times import snapshots
 from dopslam.models import unmeasured
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
@@ -255,6 +255,7 @@ def detections(
     z[:, [1, 3]] = (z[:, [1, 3]] + np.pi) % (2 * np.pi) - np.pi
     metres = widths * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1]  # as the filters have it
     snr = _snr(get, mapping)
+    refuse_strengths(path, snr, order)
     return DetectionSeries(
         offsets=np.concatenate([[0], np.cumsum(np.bincount(step, minlength=count))]),
         delay=z[:, 0], aoa=z[:, 1:3], aod=z[:, 3:5], radial_velocity=z[:, 5],

@@ -64,11 +64,21 @@ class SnrDetection:
 
 
 DetectionModel = ConstantDetection | SnrDetection
+STRONG = 2e5  # twice an SNR
 
 
 def probability_from_snr(snr: ArrayLike, threshold: float) -> Array:
-    """P(χ'²_8(2ρ) > 2·threshold) of a path with post-integration SNR `snr` (linear)."""
-    return ncx2.sf(2.0 * threshold, 8, 2.0 * np.asarray(snr, dtype=float))
+    """P(χ'²_8(2ρ) > 2·threshold) of a path with post-integration SNR `snr` (linear).
+
+    Above 50 dB the root of χ'² is normal to 3e-6, and the exact function may overflow or never end.
+    """
+    squared, offset = 2.0 * threshold, 2.0 * np.asarray(snr, dtype=float)
+    if squared < 1e-3:  # one but for 3e-15
+        return np.ones(offset.shape)
+    if squared > STRONG:
+        return norm.sf(np.sqrt(squared) - np.sqrt(offset + 7.0))
+    exact = ncx2.sf(squared, 8, np.minimum(offset, STRONG))
+    return np.where(offset > STRONG, norm.sf(np.sqrt(squared) - np.sqrt(offset + 7.0)), exact)
 
 
 def spreading_loss(kind: ArrayLike, landmark: Array, ue: Array, bs: Array) -> Array:

@@ -88,3 +88,11 @@ def test_impossible_models_and_scans_are_refused():
         Scans(np.zeros((2, 6)), np.tile(np.eye(6), (2, 1, 1)), np.array([0, 1]), 1.0, 1.0, 1.0)
     with pytest.raises(FilterError, match="non-finite"):
         Scans(np.full((1, 6), np.nan), np.eye(6)[None], np.array([0, 1]), 1.0, 1.0, 1.0)
+
+
+def test_probability_at_the_ends_of_floating_point():
+    snr = np.array([1e-300, 1.0, 9.99e4, 1.001e5, 1e30, 1e300])
+    for threshold in (1e-320, 14.0, 1e5, 1e300):
+        found = probability_from_snr(snr, threshold)
+        assert np.all((found >= 0) & (found <= 1)) and np.all(np.diff(found) >= -1e-5)
+    assert probability_from_snr(1e5 * (1 + 1e-9), 1e5) == pytest.approx(float(probability_from_snr(1e5, 1e5)), abs=1e-5)
