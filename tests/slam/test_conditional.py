@@ -319,3 +319,20 @@ def test_same_seed_same_result_and_empty_scans_only_predict():
     state, info = filter_.step(np.random.default_rng(0), state, nothing)
     assert np.isfinite(info.estimate.position).all()
     assert np.trace(state.covariance) > before
+
+
+def test_a_hidden_feature_is_not_given_up_at_once():
+    """After 40 steps a wall's path is missing for five: something may hide it, and it is kept; without that it is lost."""
+    experiment = Experiment(steps=45)
+    _, scans, sources = draw(experiment, np.random.default_rng(11))
+    existence = {}
+    for hide in (0.0, 0.02):
+        filter_ = replace(small(experiment, types=(Form.VA_AOD, Form.PS)), hide=hide)
+        rng = np.random.default_rng(5)
+        state = filter_.init(*informed_start(rng, Box(experiment.start), scans[0], filter_.parameters, 0.1, 500), 30.0)
+        for k, (scan, source) in enumerate(zip(scans, sources, strict=True)):
+            state, _ = filter_.step(rng, state, scan.select(source != 1) if k >= 40 else scan)
+        near = np.linalg.norm(state.map.center - experiment.features[0], axis=1) < 0.5
+        existence[hide] = state.map.weight[near].sum()
+    assert existence[0.02] > 0.5
+    assert existence[0.0] < 0.1

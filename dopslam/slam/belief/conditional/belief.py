@@ -23,6 +23,7 @@ class Map:
     label : (K + 1,) int, number of each feature, −1 the line of sight
     first : (K + 2,) int, rows of feature k are first[k]:first[k + 1]
     form : (R,) int; weight : (R,) P(exists, type)
+    hidden : (R,) probability that an obstacle or the end of its surface hides the feature, given that it exists
     reference : (R, 2) mean and variance of the amplitude times the root of the spreading loss
     center : (R, 3) m; gain : (3R, d), G; spread : (3R, 3R) m², C
     """
@@ -31,6 +32,7 @@ class Map:
     first: np.ndarray
     form: np.ndarray
     weight: np.ndarray
+    hidden: np.ndarray
     reference: np.ndarray
     center: np.ndarray
     gain: np.ndarray
@@ -51,7 +53,7 @@ class Map:
         owner, wide = self.owner[rows], (3 * rows[:, None] + np.arange(3)).ravel()
         kept, counts = np.unique(owner, return_counts=True)
         return Map(
-            self.label[kept], np.concatenate([[0], np.cumsum(counts)]), self.form[rows], self.weight[rows],
+            self.label[kept], np.concatenate([[0], np.cumsum(counts)]), self.form[rows], self.weight[rows], self.hidden[rows],
             self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
         )  # fmt: skip
 
@@ -73,7 +75,7 @@ class Map:
             wide[at, at] = block
         return Map(
             np.concatenate([self.label, label]), np.concatenate([self.first, self.first[-1] + np.cumsum(counts)]),
-            np.concatenate([self.form, form]), np.concatenate([self.weight, weight]),
+            np.concatenate([self.form, form]), np.concatenate([self.weight, weight]), np.concatenate([self.hidden, np.zeros(len(form))]),
             np.concatenate([self.reference, reference]), np.concatenate([self.center, center]),
             np.concatenate([self.gain, gain.reshape(new, -1)]), wide,
         )  # fmt: skip
@@ -199,6 +201,6 @@ def predict_map(
 def empty_map(anchor: np.ndarray, size: int, sight: np.ndarray) -> Map:
     """Only the line of sight; sight (3,) is its existence and the mean and variance of its reference."""
     return Map(
-        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), sight[None, 1:].copy(),
+        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), np.zeros(1), sight[None, 1:].copy(),
         np.array(anchor, float)[None], np.zeros((3, size)), np.zeros((3, 3)),
     )  # fmt: skip

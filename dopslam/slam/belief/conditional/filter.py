@@ -44,6 +44,7 @@ class Conditional:
     widening : of the proposal's standard deviation
     pair_gate : squared Mahalanobis distance beyond which a measurement cannot be a feature's
     gate : associations less likely than this are left out of the updates
+    hide, unhide : probabilities per step that a feature is hidden by something, and that it comes back
     correlation : False drops it after every step, everything else equal: the control experiment of what keeping it is worth
     prune_type : types below this share of a feature's existence are dropped
     """
@@ -59,6 +60,8 @@ class Conditional:
     widening: float = 1.15
     pair_gate: float = 25.0
     gate: float = 1e-7
+    hide: float = 0.02
+    unhide: float = 0.1
     correlation: bool = True
     prune_type: float = 1e-5
 
@@ -136,6 +139,11 @@ class Conditional:
         log_amplitude, amplitudes = amplitude_messages(
             self._table, u, variance, np.ascontiguousarray(scan.amplitude, float)
         )
+        hidden = chart.hidden * (1 - self.unhide) + (1 - chart.hidden) * self.hide
+        hidden[0] = 0.0  # the line of sight has a chain of its own
+        seen_missed = np.log(hidden + (1 - hidden) * np.exp(log_amplitude[:, 0]))
+        log_amplitude = log_amplitude + np.log1p(-hidden)[:, None]
+        log_amplitude[:, 0] = seen_missed
         scale = np.ones(log_amplitude[:, 1:].shape)
         if parameters.rescale_covariance:
             scale = (scan.amplitude / amplitudes[:, 1:, 0]) ** 2
@@ -183,7 +191,10 @@ class Conditional:
         _, covariance, center, gain, spread, share = updated[:6]
         weight = share.sum(axis=1)
         reference = self._references(share, amplitudes, chart, whole, center, anchor)
-        chart = replace(chart, weight=weight, center=center, gain=gain, spread=spread, reference=reference)
+        hidden = np.where(weight > 0, share[:, 0] / np.maximum(weight, 1e-300), 0.0) * hidden * np.exp(-log_missed)
+        chart = replace(
+            chart, weight=weight, hidden=hidden, center=center, gain=gain, spread=spread, reference=reference
+        )
         posterior = replace(prior, mean=whole, covariance=covariance, map=chart)
         effective = float("nan")
         if self._sampled:
