@@ -125,11 +125,28 @@ def check_offsets(record: str, offsets: np.ndarray, rows: int) -> None:
 
 def _check_columns(record, columns: tuple[str, ...], rows: int) -> None:
     for name in columns:
-        column = getattr(record, name)
-        if len(column) != rows:
-            raise DopslamError(f"{type(record).__name__}.{name} has {len(column)} rows where {rows} are needed")
+        column, where = np.asarray(getattr(record, name)), f"{type(record).__name__}.{name}"
+        shape = SHAPES.get(name, ())
+        if column.ndim == 0 or len(column) != rows:
+            raise DopslamError(f"{where} has {column.shape[:1] or 'no'} rows where {rows} are needed")
+        if column.shape[1:] != shape:
+            raise DopslamError(f"{where} has shape {column.shape}; expected {(rows, *shape)}")
+        if column.dtype.kind not in KINDS.get(name, "fiu"):
+            raise DopslamError(
+                f"{where} holds {column.dtype} numbers; expected {KINDS.get(name, 'f')[0]!r}, see numpy kinds"
+            )
         if not np.all(np.isfinite(column)):
-            raise DopslamError(f"{type(record).__name__}.{name} holds non-finite values; remove those rows first")
+            raise DopslamError(f"{where} holds non-finite values; remove those rows first")
+
+
+SHAPES = {  # of a row, where it is no single number
+    **dict.fromkeys(("aoa", "aod"), (2,)), "covariance": (6, 6), **dict.fromkeys(("position", "velocity", "vertices"), (3,)),
+    "triangles": (3, 3),
+}  # fmt: skip
+KINDS = {  # numpy's letters of number types, where they are not any real ones
+    **dict.fromkeys(("a", "gain"), "cfiu"), **dict.fromkeys(("anchor", "flags", "kind", "order", "landmark"), "iu"),
+}  # fmt: skip
+_WORDS = {"fiu": "real", "cfiu": "complex", "iu": "whole"}
 
 
 @dataclass(frozen=True)
