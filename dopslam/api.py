@@ -16,7 +16,7 @@ They are those of the command line, without its files::
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -181,9 +181,12 @@ def montecarlo(
     Parameters
     ----------
     world : what tracks and detections are drawn from
-    problem : what the filters are told; None: the truth
+    problem : what the filters are told; None: the truth. Detections that are drawn without strengths have no p_D of their
+        own: a problem that leaves it open, as that of a traced scenario does, takes the world's
     filters : by the name in the table
     """
+    if problem is not None and problem.detection is None:
+        problem = replace(problem, detection=build.told(world).detection)
     found = {}
     for name, chosen in filters.items():
         study = studies.Study(world, chosen, problem)

@@ -8,6 +8,7 @@ import pytest
 
 from dopslam.config.scenario import load
 from dopslam.errors import SceneError
+from dopslam.evaluate import detections as matching
 from dopslam.pipeline import file as stages
 from dopslam.records import DetectionSeries, Landmarks, same
 from dopslam.report.tables import study_text
@@ -39,7 +40,8 @@ def test_stored_signal_and_two_workers_change_nothing(traced, tmp_path):
 
 
 def test_line_of_sight_and_walls_are_detected_within_their_covariance(traced):
-    summary = stages._detection_figures(load("ring_road", SHORT), *_truth(traced))
+    track, paths, detections = _truth(traced)
+    summary = matching.figures(matching.match_series(load("ring_road", SHORT), track, paths, detections))
     strong = summary["found_by_rho_db"]["20-90"]
     assert strong["found"] == strong["of"] >= 16
     assert summary["false_per_snapshot"] <= 0.5

@@ -84,7 +84,7 @@ def test_imported_data_without_a_track_name_the_option_that_brings_it(tmp_path, 
     ("mapping", "table", "said", "cure"),
     [
         (MAP.replace("[columns]", '[columns]\npower = "p"'), TABLE, "without noise_floor_db = … (dB)",
-         (("[columns]", "noise_floor_db = -90.0\n[columns]"), ("t,toa,phi\n", "t,toa,phi,p\n"), (r"(?m)^([-\d.,]+)$", r"\1,-60"))),
+         (("[columns]", "noise_floor_db = -90.0\n[columns]"), ("[units]", '[units]\npower = "dB"'), ("t,toa,phi\n", "t,toa,phi,p\n"), (r"(?m)^([-\d.,]+)$", r"\1,-60"))),
         (MAP.replace("delay = 0.5\n", ""), TABLE, "Give std.delay", (("[std]", "[std]\ndelay = 0.5"),)),
         (MAP.replace('"toa"', '"tau"'), TABLE, "has no column 'tau'; it has t, toa, phi", (('"tau"', '"toa"'),)),
         (MAP.replace('"deg"', '"degrees"'), TABLE, "known are rad, deg", (('"degrees"', '"deg"'),)),

@@ -133,7 +133,7 @@ def test_a_good_run_is_explained(ring):
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        ([30.0, 30, 0, 0], "times as far off as it claims"),
+        ([30.0, 30, 0, 0], "the base station is never where it should be"),
         ([0, 0, np.pi, 0], "nor is anything of the map"),
         ([0, 0, 0, 15.0], "right in direction, wrong in length"),
     ],
