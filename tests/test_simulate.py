@@ -96,3 +96,12 @@ def test_mismatched_worlds_are_refused():
         replace(section_v(), motion=unknown_motion(section_v()).motion)
     with pytest.raises(FilterError, match="prior"):
         section_v(prior="both")
+
+
+def test_noise_over_the_pole_is_another_direction():
+    """Angles that are drawn are angles that can be measured, whatever their deviation."""
+    world = section_v(steps=5)
+    wide = replace(world, noise=replace(world.noise, std=np.array([0.1, 3.0, 3.0, 3.0, 3.0, 0.1])))
+    _, scans = simulate(wide, 1, 0)
+    assert np.abs(scans.z[:, [2, 4]]).max() <= np.pi / 2
+    assert np.abs(scans.z[:, [1, 3]]).max() <= np.pi

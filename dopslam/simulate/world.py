@@ -236,7 +236,8 @@ def draw_scans(
             )
         )
     flat = [np.concatenate([c[i] for c in columns]) for i in range(4)]
-    flat[0][:, [1, 3]] = wrap(flat[0][:, [1, 3]])
+    for azimuth in (1, 3):
+        flat[0][:, azimuth : azimuth + 2] = _direction(flat[0][:, azimuth : azimuth + 2])
     span = 2 * situation.doppler_limit
     return Scans(
         z=flat[0],
@@ -249,6 +250,17 @@ def draw_scans(
         threshold=None if isinstance(situation.noise, FixedNoise) else situation.noise.threshold,
         label=flat[2].astype(np.int64),
     )
+
+
+def _direction(angles: Array) -> Array:
+    """Azimuth and elevation (N, 2) of the same direction in their ranges: noise may carry an elevation over the pole."""
+    azimuth, drawn = angles.T
+    elevation = np.where(np.abs(drawn) > np.pi / 2, wrap(drawn), drawn)
+    over = np.abs(elevation) > np.pi / 2
+    return np.column_stack([
+        wrap(np.where(over, azimuth + np.pi, azimuth)),
+        np.where(over, np.copysign(np.pi, elevation) - elevation, elevation),
+    ])  # fmt: skip
 
 
 def _draw_clutter(situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array):
