@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 CLUTTER = -1
 LARGEST = np.array([1e9, 1e3, 1e3, 1e3, 1e3, 3e8])  # m, rad, m/s: no measurement or deviation is larger
+SAYS_NOTHING = np.array(
+    [np.inf, 1e2, 1e2, 1e2, 1e2, np.inf]
+)  # rad, a deviation beyond which an angle is not known at all
 LARGEST_SCAN = 2000  # measurements of one step
 REGULAR = 1e-4  # of a period: smaller differences of time stamps are rounding
 DOUBTFUL = 1 | 2  # flags of a close pair and of the edge of view, whose covariances are too small
@@ -127,7 +130,8 @@ def from_detections(
 ) -> Scans:
     """Channel estimates of a run as measurements of the filters.
 
-    What the estimator's flags warn of widens R: the covariance of a close pair's detections is that of two paths told
+    A direction that the estimator could not tell, of two paths that merged for instance, has a deviation of any number
+    of turns; it is brought to one that says as little. What the estimator's flags warn of widens R: the covariance of a close pair's detections is that of two paths told
     apart, and is too small by far where they were not.
 
     Parameters
@@ -147,13 +151,18 @@ def from_detections(
     """
     scale = np.array([SPEED_OF_LIGHT, 1.0, 1.0, 1.0, 1.0, 1.0])
     believed = detections.covariance * np.where(detections.flags & DOUBTFUL, WIDENING, 1.0)[:, None, None]
+    covariance = believed * scale[:, None] * scale
+    deviation = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 1e-300))
+    shrunk = np.minimum(1.0, SAYS_NOTHING / deviation)
+    if np.any(shrunk < 1):  # elsewhere not a bit is changed
+        covariance = covariance * shrunk[:, :, None] * shrunk[:, None, :]
     z = np.column_stack(
         [detections.delay * SPEED_OF_LIGHT, detections.aoa, detections.aod, detections.radial_velocity]
     ).astype(float)
     z[:, 3] = (z[:, 3] + bs_yaw + np.pi) % (2 * np.pi) - np.pi
     return Scans(
         z=z,
-        covariance=believed * scale[:, None] * scale,
+        covariance=covariance,
         offsets=np.asarray(detections.offsets, dtype=np.int64),
         clutter_count=max(float(detections.false_alarm_rate), minimum_clutter),
         search_volume=float(detections.search_volume),
