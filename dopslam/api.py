@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dopslam import link
 from dopslam import problem as build
 from dopslam.config import scenario as config
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
+from dopslam.filters import FILTERS
 from dopslam.pipeline import stages
 from dopslam.pipeline.judge import judged
 from dopslam.pipeline.stages import SyntheticSignal, Truth
@@ -109,8 +109,6 @@ def slam(problem: Problem, detections: DetectionSeries, chosen: Filter | str, se
     FilterError
         If the filter cannot do what the problem asks, or fails.
     """
-    from dopslam.filters import FILTERS
-
     return filtering.run(problem, detections, FILTERS[chosen]() if isinstance(chosen, str) else chosen, seed)[0]
 
 
@@ -192,6 +190,3 @@ def montecarlo(
         study = studies.Study(world, chosen, problem)
         found[name] = studies.summarize(studies.run_study(study, runs, seed, jobs), study)
     return Runs(found)
-
-
-signal_model = link.signal_model

@@ -184,12 +184,19 @@ def run(
     """
     scans = detections if isinstance(detections, Scans) else problem.scans(detections)
     check(chosen, problem, scans)
-    if problem.snapshot and not chosen.capabilities.whole_run:
-        found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=uses_doppler(chosen))
-        problem = replace(problem, mean=found.mean, covariance=found.covariance)
+    if not chosen.capabilities.whole_run:
+        problem = started(problem, scans, uses_doppler(chosen))
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     whole = getattr(chosen, "run", None)
     return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
+
+
+def started(problem: Problem, scans: Scans, doppler: bool) -> Problem:
+    """The problem with the start that the scans alone tell, where it asks for that."""
+    if not problem.snapshot:
+        return problem
+    found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=doppler)
+    return replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
 
 
 def check(chosen: Filter, problem: Problem, scans: Scans) -> None:

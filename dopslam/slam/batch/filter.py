@@ -18,11 +18,11 @@ from dopslam.errors import FilterError
 from dopslam.models import unmeasured
 from dopslam.models.scans import Scans
 from dopslam.slam.batch.grow import Locate, grow
-from dopslam.slam.batch.result import Prefix, diagnostics_of, history_of
+from dopslam.slam.batch.result import Rerun, diagnostics_of, history_of
 from dopslam.slam.batch.rows import Map, rows_of
 from dopslam.slam.batch.smoother import Choices, smooth
 from dopslam.slam.batch.track import KNOWN, Chain
-from dopslam.slam.filter import Capabilities, Info, Problem
+from dopslam.slam.filter import Capabilities, Problem
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.filters import Joint
 from dopslam.slam.snapshot import start as snapshot
@@ -38,7 +38,7 @@ REPORTED = 0.5  # existence from which a filter's landmark is tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Batch:
+class Batch(Rerun):
     """Robust least squares over all detections of a run, their association re-estimated in rounds.
 
     ``step`` smooths all scans so far anew; ``run`` is the intended way.
@@ -57,14 +57,6 @@ class Batch:
     doppler: bool = True
     noise: Literal["given", "scaled"] = "given"
     rounds: int = 12
-
-    def init(self, problem: Problem, rng: np.random.Generator) -> Prefix:
-        """No scans yet."""
-        return Prefix(problem)
-
-    def step(self, state: Prefix, scan: Scans, rng: np.random.Generator) -> tuple[Prefix, Info]:
-        """All scans so far, smoothed; what is told is the newest state."""
-        return state.step(self, scan, rng)
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
         """Smooth a whole run.

@@ -6,7 +6,7 @@ least squares of :mod:`dopslam.slam.batch.track`. What the filter left unassocia
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -14,19 +14,18 @@ import numpy as np
 from dopslam.models.scans import Scans
 from dopslam.slam.batch.landmarks import LEAST
 from dopslam.slam.batch.noise import GIVEN
-from dopslam.slam.batch.result import Prefix, diagnostics_of, history_of
+from dopslam.slam.batch.result import Rerun, diagnostics_of, history_of
 from dopslam.slam.batch.rows import Map, rows_of
 from dopslam.slam.batch.smoother import Smoothed, only_stations
 from dopslam.slam.batch.track import KNOWN, Chain, optimize
-from dopslam.slam.filter import Capabilities, Info, Problem
+from dopslam.slam.filter import Capabilities, Problem, started
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
 from dopslam.slam.pmb.filters import Joint
-from dopslam.slam.snapshot import start as snapshot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
+class Interval(Rerun):
     """Joint filter, smoothed over the whole run on its own associations.
 
     ``step`` filters and smooths all scans so far anew; ``run`` is the intended way.
@@ -46,20 +45,9 @@ class Interval:
     gate: float = 40.0
     confirmed: float = 0.5
 
-    def init(self, problem: Problem, rng: np.random.Generator) -> Prefix:
-        """No scans yet."""
-        return Prefix(problem)
-
-    def step(self, state: Prefix, scan: Scans, rng: np.random.Generator) -> tuple[Prefix, Info]:
-        """All scans so far, filtered and smoothed; what is told is the newest state."""
-        return state.step(self, scan, rng)
-
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
         """Filter a whole run, then smooth it."""
-        if problem.snapshot:
-            doppler = self.doppler
-            found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=doppler)
-            problem = replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
+        problem = started(problem, scans, self.doppler)
         joint = Joint(doppler=self.doppler, iterations=self.iterations, associations=self.associations, gate=self.gate)
         history, diagnostics = joint.run(problem, scans, rng)
         data = rows_of(scans, problem.stations.position, problem.height, problem.motion.speed, doppler=self.doppler)

@@ -37,6 +37,20 @@ class Prefix:
         return Prefix(self.problem, scans), Info(estimate)
 
 
+class Rerun:
+    """Online form of a filter that reads the whole run: all scans so far anew; what is told is the newest state."""
+
+    __slots__ = ()
+
+    def init(self, problem: Problem, rng: np.random.Generator) -> Prefix:
+        """No scans yet."""
+        return Prefix(problem)
+
+    def step(self, state: Prefix, scan: Scans, rng: np.random.Generator) -> tuple[Prefix, Info]:
+        """All scans so far."""
+        return state.step(self, scan, rng)
+
+
 def history_of(data: Rows, result: Smoothed) -> History:
     """Smoothed states, and the map, which stands still, at every step."""
     found, steps = result.estimate.found, data.steps
