@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from dopslam.config.scenario import load
+from dopslam.datasets.checks import check
 from dopslam.errors import ConfigError, DatasetError, FilterError
+from dopslam.evaluate.walls import Walls, walls
 from dopslam.pipeline import file as stages
 from dopslam.records import BaseStations, DetectionSeries, Track, same
 from dopslam.slam.snapshot.start import locate
@@ -41,6 +43,14 @@ def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_
     for name in ("plan", "errors", "gospa"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert "joint" in (tmp_path / "table.txt").read_text()
+
+
+def test_slam_writes_the_walls_of_its_final_map(simulated):
+    stages.slam(simulated)
+    found = dataset.read_record(simulated, "walls_joint", Walls)
+    history, scenario = stages.histories(simulated)["joint"], stages.scenario_of(simulated)[0]
+    assert same(found, walls(history, np.array(scenario.base_station.position), scenario.receiver.height))
+    assert len(found) and not check(simulated)
 
 
 def test_the_bound_without_doppler_is_never_below_the_one_with_it(simulated):

@@ -16,6 +16,7 @@ from dopslam.datasets.shard import inspect_shard
 from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
 from dopslam.evaluate.bounds import Bound
+from dopslam.evaluate.walls import Walls
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.preflight import Finding
 from dopslam.records import SPEED_OF_LIGHT, BaseStations, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
@@ -23,7 +24,7 @@ from dopslam.slam.history import History
 from dopslam.store import file as dataset
 from dopslam.store.schema import unit_of
 
-RECORDS = (Track, Steps, Landmarks, BaseStations, Paths, DetectionSeries, History, Bound, FloorPlan, Mesh)
+RECORDS = (Track, Steps, Landmarks, BaseStations, Paths, DetectionSeries, History, Bound, FloorPlan, Mesh, Walls)
 TYPES = {kind.__name__: kind for kind in RECORDS}
 LENGTH_TOLERANCE = 1e-6  # m, between a delay and the length along its interaction points
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dopslam.evaluate.bounds import Bound
+from dopslam.evaluate.walls import Walls
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Kind, Paths, Track
 from dopslam.slam.history import History
 
@@ -111,6 +112,14 @@ def _bound(record: Bound) -> Faults:
     yield from of_covariance("landmark", marks[np.isfinite(marks).all(axis=(1, 2))], known=True)
 
 
+def _walls(record: Walls) -> Faults:
+    yield from beyond(
+        "normal", np.linalg.norm(record.normal, axis=1), 1 - 1e-6, 1 + 1e-6, "(the length of a unit vector)"
+    )
+    yield from of_covariance("covariance", record.covariance, known=True)
+    yield from beyond("existence", record.existence, 0.0, 1 + 1e-9, "(a probability)")
+
+
 RULES: dict[type, Callable[[Any], Faults]] = {
-    DetectionSeries: _detections, Track: _track, Paths: _paths, History: _history, Bound: _bound,
+    DetectionSeries: _detections, Track: _track, Paths: _paths, History: _history, Bound: _bound, Walls: _walls,
 }  # fmt: skip

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dopslam.models.measurement import incidence
-from dopslam.records import Kind, Landmarks
+from dopslam.records import Kind, Landmarks, Track
 from dopslam.slam.history import History
 
 SMALLEST_EXTENT = 1.0  # m, a wall seen in one point only is drawn this wide
+LEAST_WAY = 1e-3  # m; a virtual anchor in the base station has no plane
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Walls:
     track : (W,) int, the map's track numbers
     normal : (W, 3) unit vectors from the base station outwards; offset : (W,) m, normal · p = offset
     covariance : (W, 4, 4) of [normal, offset]
-    corners : (W, 4, 3) m, rectangle in the plane around the incidence points
+    corners : (W, 4, 3) m, rectangle in the plane around the incidence points, its extent
     existence : (W,)
     """
 
@@ -87,6 +88,7 @@ def walls(history: History, base_station: np.ndarray, height: float, step: int =
     step %= history.steps
     rows = history.rows(step)
     chosen = (history.kind[rows] == Kind.VA) & (history.existence[rows] > threshold)
+    chosen &= np.linalg.norm(history.position[rows] - base_station, axis=-1) > LEAST_WAY
     anchor, spread = history.position[rows][chosen], history.position_covariance[rows][chosen]
     track = history.track[rows][chosen]
     normal, offset = plane_of(base_station, anchor)
@@ -105,6 +107,21 @@ def walls(history: History, base_station: np.ndarray, height: float, step: int =
         corners=np.array(corners).reshape(-1, 4, 3),
         existence=history.existence[rows][chosen],
     )
+
+
+def true_walls(track: Track, landmarks: Landmarks) -> Walls:
+    """The walls that the true first reflections stand for, over where the true track would see them; nothing uncertain."""
+    bs = landmarks.position[landmarks.kind == Kind.BS][0]
+    index = np.flatnonzero((landmarks.kind == Kind.VA) & (landmarks.order == 1))
+    anchor = landmarks.position[index]
+    normal, offset = plane_of(bs, anchor)
+    corners = [
+        _rectangle(n, d, _incidences(track.position, x, bs)) for n, d, x in zip(normal, offset, anchor, strict=True)
+    ]
+    count = len(index)
+    return Walls(
+        index, normal, offset, np.zeros((count, 4, 4)), np.array(corners).reshape(-1, 4, 3), np.ones(count)
+    )  # fmt: skip
 
 
 def _mapped(history: History, track: int, last: int, threshold: float) -> np.ndarray:
@@ -156,3 +173,24 @@ def wall_errors(
     for i, j in zip(*linear_sum_assignment(gap + reach * turn), strict=True):
         partner[i], distance[i], angle[i] = true[j], gap[i, j], turn[i, j]
     return partner, distance, angle
+
+
+def wall_figures(found: Walls, landmarks: Landmarks, radius: float) -> dict:
+    """The figures of ``summary.json``: walls within ``radius`` [m] of a true one, and how far off those are.
+
+    ``wall_distance_m`` and ``wall_angle_deg`` are root mean squares over the walls found; None where there are none.
+    """
+    bs = landmarks.position[landmarks.kind == Kind.BS][0]
+    _, distance, angle = wall_errors(found, landmarks, bs)
+    near = distance <= radius
+
+    def rms(values: np.ndarray) -> float | None:
+        return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+    return {
+        "walls_found": int(near.sum()),
+        "walls_total": int(np.sum((landmarks.kind == Kind.VA) & (landmarks.order == 1))),
+        "walls_false": int((~near).sum()),
+        "wall_distance_m": rms(distance[near]),
+        "wall_angle_deg": rms(np.degrees(angle[near])),
+    }

@@ -15,7 +15,7 @@ from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
 from dopslam.pipeline import stages as pipeline
-from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name
+from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name, walls_of
 from dopslam.pipeline.reads import refuse_unread
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
@@ -156,7 +156,8 @@ def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool 
     doppler = doppler and pipeline.uses_doppler(scenario, filter_name)
     history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
     variant = variant_name(filter_name, doppler)
-    dataset.write_record(path, _group("slam", variant), history, scenario.to_toml())
+    records = {_group("slam", variant): history, _group("walls", variant): walls_of(scenario, history)}
+    dataset.write_records(path, records, scenario.to_toml())
     return variant
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DopslamError
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate import mapping
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
+from dopslam.evaluate.walls import Walls, wall_figures, walls
 from dopslam.filters import FILTERS
 from dopslam.problem import chosen_filter
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
@@ -73,6 +76,7 @@ def judged(
     variants = {
         name: {"bound": "smoothing" if _whole_run(scenario, name) else "filtering"}
         | summarize(e, landmarks, radius)
+        | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }
@@ -85,6 +89,12 @@ def judged(
         **({"failed": dict(failed)} if failed else {}),
     }  # fmt: skip
     return summary, evaluations
+
+
+def walls_of(scenario: Scenario, history: History) -> Walls:
+    """The walls of a run's final map, as far as the scenario reports its landmarks."""
+    height, least = scenario.receiver.height, scenario.filter.report_existence
+    return walls(history, np.array(scenario.base_station.position), height, threshold=least)
 
 
 def _whole_run(scenario: Scenario, variant: str) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from dopslam.evaluate.walls import walls
+from dopslam.evaluate.walls import true_walls, walls
 from dopslam.models.measurement import wrap
 from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track
 
@@ -74,6 +74,9 @@ def plan_view(
             line = plan.points[plan.offsets[w] : plan.offsets[w + 1]]
             axes.plot(*line.T, color=WALL, linewidth=2.2, label="walls, objects" if w == 0 else None, zorder=1)
     bs = landmarks.position[landmarks.kind == Kind.BS][0]
+    upright = [c[:2, :2] for c, n in _upright(true_walls(track, landmarks))]
+    for number, line in enumerate(upright if plan is None else ()):
+        axes.plot(*line.T, color=WALL, linewidth=4, label="true walls" if number == 0 else None, zorder=1)
     if paths is not None:
         _rays(axes, bs, track, paths, step)
     axes.plot(*bs[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5, linestyle="none")
@@ -81,9 +84,11 @@ def plan_view(
     axes.plot(*history.mean[:, :2].T, ".", color=ESTIMATE, markersize=5, label="estimated track", zorder=4)
     last = history.rows(history.steps - 1)
     shown = history.existence[last] > threshold
-    spreads = np.concatenate([history.covariance[:, :2, :2], history.position_covariance[last][shown][:, :2, :2]])
-    enlarged = _enlargement(spreads, np.ptp(np.concatenate([landmarks.position, track.position])[:, :2]))
-    _walls(axes, history, bs, float(track.position[0, 2]), threshold)
+    low, high = _frame(axes, bs, track, paths, landmarks, upright)
+    within = shown & np.all((history.position[last, :2] >= low) & (history.position[last, :2] <= high), axis=1)
+    spreads = np.concatenate([history.covariance[:, :2, :2], history.position_covariance[last][within][:, :2, :2]])
+    enlarged = _enlargement(spreads, float(np.max(high - low)))
+    _walls(axes, walls(history, bs, float(track.position[0, 2]), threshold=threshold), enlarged)
     for mean, covariance in zip(history.mean, history.covariance, strict=True):
         _ellipse(axes, mean[:2], covariance[:2, :2], ESTIMATE, enlarged)
     twice = (landmarks.kind == Kind.VA) & (landmarks.order > 1)
@@ -94,47 +99,60 @@ def plan_view(
     ):
         if kind == Kind.SR and not (twice.any() or (history.kind[last][shown] == kind).any()):
             continue
-        where = landmarks.position[twice if kind == Kind.SR else (landmarks.kind == kind) & ~twice]
-        axes.plot(*where[:, :2].T, marker, mfc="none", mec=TRUE, markersize=9, label=f"true {name}", linestyle="none")
-        chosen = shown & (history.kind[last] == kind)
+        where = landmarks.position[twice if kind == Kind.SR else (landmarks.kind == kind) & ~twice][:, :2]
+        where = where[np.all((where >= low) & (where <= high), axis=1)]
+        label = f"true {name}" if len(where) else None
+        axes.plot(*where.T, marker, mfc="none", mec=TRUE, markersize=9, label=label, linestyle="none")
+        chosen = within & (history.kind[last] == kind)
         where, spread = history.position[last][chosen], history.position_covariance[last][chosen]
-        axes.plot(
-            *where[:, :2].T, marker, color=color, markersize=5, label=f"estimated {name}", linestyle="none", zorder=4
-        )
+        label = f"estimated {name}" if len(where) else None
+        axes.plot(*where[:, :2].T, marker, color=color, markersize=5, label=label, linestyle="none", zorder=4)
         for mean, covariance in zip(where, spread, strict=True):
             _ellipse(axes, mean[:2], covariance[:2, :2], color, enlarged)
     scale = f", drawn {enlarged}× larger" if enlarged > 1 else ""
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses{scale})")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses and bands{scale})")
     axes.set_aspect("equal", adjustable="box")
-    _frame(axes, bs, track, paths, landmarks)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
-def _walls(axes, history, bs: np.ndarray, height: float, threshold: float) -> None:
-    """Walls found, over the extent that was seen, with a band of two standard deviations; levels (floors) have no line."""
-    found = walls(history, bs, height, threshold=threshold)
-    label = "walls found, ± 2 σ"
+def _upright(found) -> list:
+    """(corners, normal) of the walls that have a line in the plan; levels (floors) have none."""
+    return [(c, n) for c, n in zip(found.corners, found.normal, strict=True) if np.hypot(*n[:2]) >= 0.5]
+
+
+def _walls(axes, found, enlarged: float) -> None:
+    """Walls found, over the extent that was seen, with the band that holds 95 % of their distance, enlarged likewise."""
+    label, band = "walls found", "their 95 % band"
     for corners, normal, deviation in zip(found.corners, found.normal, found.deviation, strict=True):
         if np.hypot(*normal[:2]) < 0.5:
             continue
-        line, shift = corners[:2, :2], 2 * deviation * normal[:2]
-        axes.plot(*line.T, color=VA, linewidth=2.5, zorder=3, label=label)
-        axes.fill(*np.vstack([line + shift, line[::-1] - shift]).T, color=VA, alpha=0.25, linewidth=0, zorder=2)
-        label = None
+        line, shift = corners[:2, :2], 1.96 * enlarged * deviation * normal[:2]
+        axes.plot(*line.T, color=VA, linewidth=2.5, zorder=3, label=label, solid_capstyle="butt")
+        ring = np.vstack([line + shift, line[::-1] - shift])
+        axes.fill(*ring.T, color=VA, alpha=0.25, linewidth=0, zorder=2, label=band)
+        label = band = None
 
 
-def _frame(axes, bs: np.ndarray, track: Track, paths: Paths | None, landmarks: Landmarks, margin: float = 0.06) -> None:
-    """Show where the rays went; virtual anchors far outside would squeeze everything else."""
-    shown = [track.position[:, :2], bs[None, :2], landmarks.position[landmarks.kind == Kind.SP][:, :2]]
+def _frame(axes, bs, track: Track, paths: Paths | None, landmarks: Landmarks, lines, margin: float = 0.06):
+    """Show where the rays went; virtual anchors far outside would squeeze everything else.
+
+    Parameters
+    ----------
+    lines : (2, 2) m each, true walls over where they are seen
+
+    Returns
+    -------
+    low, high : (2,) m, corners of the picture
+    """
+    shown = [track.position[:, :2], bs[None, :2], landmarks.position[landmarks.kind == Kind.SP][:, :2], *lines]
     if paths is not None:
         shown.append(paths.vertices[:, :2])
-    else:
-        shown.append(landmarks.position[:, :2])
     points = np.concatenate(shown)
     low, high = points.min(axis=0), points.max(axis=0)
     space = margin * max(*(high - low), 1.0)
     axes.set(xlim=(low[0] - space, high[0] + space), ylim=(low[1] - space, high[1] + space))
+    return low - space, high + space
 
 
 def _rays(axes, bs: np.ndarray, track: Track, paths: Paths, step: int) -> None:

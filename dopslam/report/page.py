@@ -106,7 +106,7 @@ def _replay_section() -> str:
         '<input id="replay-step" type="range" min="0" value="0" aria-label="step"></div>'
         '<p id="replay-readout"></p>'
         f'<div class="controls"><label>filter <select id="replay-filter"></select></label>'
-        '<label>ellipsoids larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
+        '<label>ellipsoids and bands larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
         f'value="0"></label>{boxes}</div><ul class="legend">{legend}</ul></section>'
     )
 

@@ -2,7 +2,8 @@
 
 Lengths in meters, world frame, z up; rounded to a millimeter, which is less than a pixel. A map row is
 ``[x, y, z, kind, existence, ix, iy, iz, l11, l21, l22, l31, l32, l33]``: landmark, interaction point of its path, and the
-Cholesky factor of its covariance.
+Cholesky factor of its covariance. A wall is ``[corners, shift]``: four points, and the vector along its normal to the edge
+of the band that holds 95 % of its distance.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dopslam.evaluate.walls import plane_of, walls
+from dopslam.evaluate.walls import Walls, plane_of, walls
 from dopslam.models.measurement import incidence
 from dopslam.records import FloorPlan, Kind, Landmarks, Paths, Track
 from dopslam.slam.history import History
@@ -105,14 +106,18 @@ def _outlines(plan: FloorPlan) -> list:
 
 def _filter(history: History, base_station: np.ndarray, height: float, threshold: float) -> dict:
     receiver = np.column_stack([history.mean[:, :2], np.full(history.steps, height)])
-    found = walls(history, base_station, height, threshold=threshold)
     return {
         "position": _round(receiver),
         "heading": _round(history.mean[:, 2], 4),
         "factor": _round([_factor(c[:2, :2])[np.tril_indices(2)] for c in history.covariance], 4),
         "map": [_map(history, k, receiver[k], base_station, threshold) for k in range(history.steps)],
-        "walls": _round(found.corners),
+        "walls": [_walls(walls(history, base_station, height, k, threshold)) for k in range(history.steps)],
     }
+
+
+def _walls(found: Walls) -> list:
+    shift = 1.96 * found.deviation[:, None] * found.normal
+    return [[_round(c), _round(s, 4)] for c, s in zip(found.corners, shift, strict=True)]
 
 
 def _factor(covariance: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ def run_table(summary: dict) -> Table:
         table.add_row(label, *(text(v) for v in variants.values()))
     table.caption = (
         "RMSE: root mean square over the steps; in brackets its ratio to the bound's (PEB, HEB, CEB).\n"
-        f"GOSPA, and landmarks found within {summary['found_within_m']:g} m, at the last step.\n"
+        f"GOSPA, and landmarks and walls found within {summary['found_within_m']:g} m, at the last step.\n"
         "VA: virtual anchor, SP: scatter point."
     )
     whole = [name for name, figures in variants.items() if figures.get("bound") == "smoothing"]
@@ -44,11 +44,21 @@ def cells(summary: dict) -> list[list[str]]:
 
 def _shown(variants: dict) -> list:
     """The rows that say something: without a lost filter none is about it."""
-    return [row for row in _ROWS if row[0] != "diverged" or any(v.get("diverged") for v in variants.values())]
+
+    def says(label: str) -> bool:
+        if label == "diverged":
+            return any(v.get("diverged") for v in variants.values())
+        return not label.startswith("walls") or any(v.get("walls_total") for v in variants.values())
+
+    return [row for row in _ROWS if says(row[0])]
 
 
 def _with_ratio(key: str, part: str):
     return lambda v: f"{v[key]:.4f} ({v['rmse_over_bound'][part]:.2f})"
+
+
+def _root_mean_square(key: str, digits: int):
+    return lambda v: "–" if v.get(key) is None else f"{v[key]:.{digits}f}"
 
 
 _ROWS = (
@@ -61,6 +71,8 @@ _ROWS = (
     ("GOSPA of SPs, m", lambda v: f"{v['gospa_sp_m']:.2f}"),
     ("VAs found", lambda v: f"{v['va_found']} of {v['va_total']}"),
     ("SPs found", lambda v: f"{v['sp_found']} of {v['sp_total']}"),
+    ("walls off by, m", _root_mean_square("wall_distance_m", 3)),
+    ("walls turned by, °", _root_mean_square("wall_angle_deg", 3)),
 )
 
 

@@ -29,6 +29,7 @@ UNITS: dict[Any, str] = {
     "name": "1", "kind": "1", "order": "1", "offsets": "1", "vertex_offsets": "1", "map_offsets": "1", "landmark": "1",
     "anchor": "1", "flags": "1", "a": "1", "snr": "1", "existence": "1", "type_probability": "1", "track": "1",
     "mean": "m, m, rad, m", "covariance": "products of m, m, rad, m", "position_covariance": "m^2",
+    "normal": "1", "offset": "m", "corners": "m", ("Walls", "covariance"): "products of 1, 1, 1, m",
     ("DetectionSeries", "covariance"): "products of s, rad, rad, rad, rad, m/s", ("Bound", "landmark"): "m^2",
 }  # fmt: skip
 
@@ -55,12 +56,16 @@ DESCRIPTIONS = {
     ("History", "type_probability"): "given existence; columns BS, VA, SP and, since second reflections are a type, SR",
     ("History", "mean"): "x, y, heading, clock bias times c (, speed m/s, turn rate rad/s)",
     ("Bound", "covariance"): "of x, y, heading, clock bias times c (, speed m/s, turn rate rad/s)",
+    ("Walls", "normal"): "unit vector from the base station outwards; normal . p = offset on the wall",
+    ("Walls", "covariance"): "of normal x, y, z and offset",
+    ("Walls", "corners"): "extent: rectangle in the plane around the incidence points that were seen",
+    ("Walls", "track"): "of the virtual anchor in the map",
     ("Bound", "landmark"): "of each landmark's position; NaN before its first detection and for the BS",
 }
 
 FRAMES = {
     "position": "world", "position_covariance": "world", "yaw": "world", "heading": "world", "velocity": "world", "theta_t": "world", "phi_t": "world",
-    "theta_r": "world", "phi_r": "world", "vertices": "world", "points": "world", "triangles": "world", "aoa": "receiver", "aod": "base station",
+    "normal": "world", "corners": "world", "theta_r": "world", "phi_r": "world", "vertices": "world", "points": "world", "triangles": "world", "aoa": "receiver", "aod": "base station",
 }  # fmt: skip
 
 # Names of the dimensions of every array of a record, the leading ones first.
@@ -93,12 +98,25 @@ DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "Bound": {
         "covariance": ("step", "state", "state_"), "landmark": ("step", "landmarks", "xyz", "xyz_"),
     },
+    "Walls": {
+        "track": ("wall",), "normal": ("wall", "xyz"), "offset": ("wall",), "covariance": ("wall", "plane", "plane_"),
+        "corners": ("wall", "corner", "xyz"), "existence": ("wall",),
+    },
     "FloorPlan": {"name": ("outline",), "offsets": ("outline_edge",), "points": ("point", "xy")},
     "Mesh": {"triangles": ("triangle", "corner", "xyz")},
     "Signal": {"y": ("step", "subcarrier", "symbol", "element")},
 }  # fmt: skip
 
-FIXED = {"xyz": 3, "xyz_": 3, "xy": 2, "az_el": 2, "parameter": 6, "parameter_": 6}  # lengths that never vary
+FIXED = {
+    "xyz": 3,
+    "xyz_": 3,
+    "xy": 2,
+    "az_el": 2,
+    "parameter": 6,
+    "parameter_": 6,
+    "plane": 4,
+    "plane_": 4,
+}  # lengths that never vary
 
 
 TEXTS = {"name"}
@@ -171,7 +189,7 @@ def remedy(path, group: str, have: set[str]) -> str:
         return f"run 'dopslam estimate {path}' first"
     if group == "detections":
         return "make them with 'dopslam trace' and 'dopslam estimate', draw them with 'dopslam simulate', or bring your own with 'dopslam import'"
-    if group.startswith("slam_"):
+    if group.startswith(("slam_", "walls_")):
         return f"run 'dopslam slam {path}' first"
     if group.startswith("bound_"):
         return f"run 'dopslam bound {path}' first"

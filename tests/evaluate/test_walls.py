@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dopslam.evaluate.walls import plane_jacobian, plane_of, wall_errors, walls
-from dopslam.records import Kind, Landmarks
+from dopslam.evaluate.walls import plane_jacobian, plane_of, true_walls, wall_errors, wall_figures, walls
+from dopslam.records import Kind, Landmarks, Track
 from dopslam.slam import history as histories
 
 BS = np.array([3.0, -2.0, 10.0])
@@ -78,3 +78,34 @@ def test_errors_of_walls_are_distance_and_angle_to_the_true_one(shift):
     assert partner.tolist() == [2, 1]
     np.testing.assert_allclose(distance, [0, shift], atol=1e-9)
     np.testing.assert_allclose(angle, 0, atol=1e-7)
+
+
+def test_an_anchor_in_the_base_station_has_no_wall():
+    assert len(walls(made([BS, WALL]), BS, 1.5)) == 1
+
+
+def test_figures_count_walls_near_true_ones_and_name_what_they_are_off_by():
+    other, ghost = np.array([3.0, 60.0, 10.0]), np.array([-70.0, 20.0, 10.0])
+    found = walls(made([WALL + np.array([0.4, 0, 0]), ghost]), BS, 1.5)
+    figures = wall_figures(found, landmarks(WALL, other), radius=1.0)
+    assert (figures["walls_found"], figures["walls_total"], figures["walls_false"]) == (1, 2, 1)
+    np.testing.assert_allclose(figures["wall_distance_m"], 0.2, atol=1e-9)
+    assert figures["wall_angle_deg"] == pytest.approx(0.0, abs=1e-5)
+    none = wall_figures(walls(made([ghost]), BS, 1.5), landmarks(WALL), radius=1.0)
+    assert none["wall_distance_m"] is None and none["walls_false"] == 1
+
+
+def test_true_walls_lie_where_the_true_track_sees_them():
+    history = made([WALL])
+    position = np.column_stack([history.mean[:, :2], np.full(history.steps, 1.5)])
+    zero = np.zeros(history.steps)
+    track = Track(np.arange(history.steps, dtype=float), position, zero, np.zeros_like(position), zero, np.zeros(4))
+    np.testing.assert_allclose(true_walls(track, landmarks(WALL)).corners, walls(history, BS, 1.5).corners, atol=1e-9)
+
+
+def test_the_band_of_a_wall_holds_95_of_100_draws():
+    rng, spread = np.random.default_rng(2), 0.04
+    found = walls(made([WALL], spread=spread), BS, 1.5)
+    normal, offset = plane_of(BS, WALL + rng.normal(scale=np.sqrt(spread), size=(4000, 3)))
+    share = np.mean(np.abs(normal @ found.center[0] - offset) < 1.96 * found.deviation[0])
+    assert 0.93 < share < 0.97

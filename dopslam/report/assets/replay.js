@@ -93,6 +93,10 @@
     return new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: color, side: THREE.DoubleSide, transparent: true, opacity: opacity, depthWrite: opacity > 0.9 }));
   }
 
+  function quad(c, color, opacity) {
+    return triangles([...c[0], ...c[1], ...c[2], ...c[0], ...c[2], ...c[3]], color, opacity);
+  }
+
   let corners = null;
   if (data.mesh) {
     const raw = Uint8Array.from(atob(data.mesh), (c) => c.charCodeAt(0));
@@ -144,8 +148,13 @@
         group.map.add(line([data.bs, row.slice(5, 8), ue], color, true, 0.35 + 0.6 * row[4]));
         group.map.add(sphere(row.slice(5, 8), size / 300, color, opacity));
       });
-      if (step === steps - 1 || state.show.walls)
-        filter.walls.forEach((c) => group.walls.add(triangles([...c[0], ...c[1], ...c[2], ...c[0], ...c[2], ...c[3]], COLOR.va, 0.45)));
+      filter.walls[step].forEach(([c, shift]) => {
+        group.walls.add(quad(c, COLOR.va, 0.5));
+        [-1, 1].forEach((side) => {
+          const edge = c.map((p) => p.map((v, i) => v + side * state.enlarge * shift[i]));
+          group.walls.add(quad(edge, COLOR.va, 0.14));
+        });
+      });
     }
     group.scene.visible = state.show.scene;
     group.rays.visible = state.show.rays;
