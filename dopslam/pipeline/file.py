@@ -230,8 +230,8 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
 
 
 def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
-    """Write ``summary.json``, ``table.txt``, ``report.html`` and the figures of an evaluated dataset into a folder, made
-    if missing."""
+    """Write ``summary.json``, ``table.txt``, ``errors.csv`` (per step), ``report.html`` and the figures of an evaluated
+    dataset into a folder, made if missing."""
     Path(target).mkdir(parents=True, exist_ok=True)
     scenario, _ = scenario_of(path)
     truth, found = read_truth(path), histories(path)
@@ -253,5 +253,6 @@ def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evalu
             scenario.to_toml(),
         )  # fmt: skip
     folder.write_text(Path(target) / "report.html", text)
+    folder.write_text(Path(target) / "errors.csv", tables.steps_csv(track.time, evaluations))
     (Path(target) / "table.txt").write_text(tables.as_text(tables.run_table(summary)), encoding="utf-8")
     folder.write_json(Path(target) / "summary.json", summary | {"versions": folder.versions()})

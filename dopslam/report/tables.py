@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import io
+from collections.abc import Mapping
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+from dopslam.evaluate.run import Evaluation
 
 
 def run_table(summary: dict) -> Table:
@@ -40,6 +45,29 @@ def cells(summary: dict) -> list[list[str]]:
     """The same table as rows of text, the first row holding the filters' names."""
     variants = summary["variants"]
     return [["", *variants], *([label, *(text(v) for v in variants.values())] for label, text in _shown(variants))]
+
+
+def steps_csv(time: np.ndarray, evaluations: Mapping[str, Evaluation]) -> str:
+    """Errors of every filter at every step, signed where they have a sign, as the text of ``errors.csv``."""
+    columns = {
+        "position_error_m": lambda e: e.position_error,
+        "heading_error_deg": lambda e: np.degrees(e.heading_error),
+        "clock_bias_error_m": lambda e: e.bias_error,
+        "peb_m": lambda e: e.peb,
+        "heb_deg": lambda e: np.degrees(e.heb),
+        "ceb_m": lambda e: e.ceb,
+        "nees": lambda e: e.nees,
+        "gospa_va_m": lambda e: e.gospa_va,
+        "gospa_sp_m": lambda e: e.gospa_sp,
+    }
+    out = io.StringIO()
+    lines = csv.writer(out, lineterminator="\n")
+    lines.writerow(["filter", "step", "time_s", *columns])
+    for name, evaluation in evaluations.items():
+        table = np.column_stack([column(evaluation) for column in columns.values()])
+        for step, (moment, row) in enumerate(zip(time, table, strict=True)):
+            lines.writerow([name, step + 1, f"{moment:.9g}", *(f"{value:.9g}" for value in row)])
+    return out.getvalue()
 
 
 def _shown(variants: dict) -> list:
@@ -87,10 +115,10 @@ def ratios(results: dict[str, dict]) -> Table:
     return table
 
 
-def as_text(table: Table) -> str:
+def as_text(table: Table, width: int = 100) -> str:
     """The table as plain text."""
     buffer = io.StringIO()
-    Console(file=buffer, width=100, color_system=None, markup=False).print(table)
+    Console(file=buffer, width=width, color_system=None, markup=False).print(table)
     return buffer.getvalue()
 
 

@@ -259,6 +259,28 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         "failures": [r.failure for r in results if r.failure],
         "microseconds_per_step": float(np.median([r.seconds for r in good]) / study.situation.steps * 1e6),
         "per_step": steps,
+        "per_run": _per_run(results),
+    }
+
+
+def _per_run(results: list[RunResult]) -> dict[str, list]:
+    """Figures of every run that did not fail, by its number: what pairs studies of the same seed."""
+    good = [(number, r) for number, r in enumerate(results) if not r.failure]
+    root = {
+        name: [float(np.sqrt(r.squared[name].mean())) for _, r in good] for name in ("position", "heading", "clock")
+    }
+    return {
+        "run": [number for number, _ in good],
+        "position_rmse_m": root["position"],
+        "heading_rmse_deg": np.degrees(root["heading"]).tolist(),
+        "clock_bias_rmse_m": root["clock"],
+        "position_over_bound": [
+            error / float(np.sqrt(r.bound["position"].mean()))
+            for error, (_, r) in zip(root["position"], good, strict=True)
+        ],
+        "nees": [float(r.nees.mean()) for _, r in good],
+        "gospa_va_m": [float(r.gospa_va[-1, 0]) for _, r in good],
+        "gospa_sp_m": [float(r.gospa_sp[-1, 0]) for _, r in good],
     }
 
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
 from dopslam.config.scenario import Scenario
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
+from dopslam.evaluate.statistics import over_runs
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import largest_order
@@ -28,13 +28,10 @@ FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "
 
 
 def mean_interval(values) -> dict:
-    """Mean and 95 % interval (Student) over the runs."""
-    values = np.asarray(values, float)
-    half = 0.0
-    if len(values) > 1:
-        half = float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    mean = float(values.mean())
-    return {"mean": mean, "low": mean - half, "high": mean + half}
+    """Mean and 95 % interval (Student) over the runs; one run alone gets an interval without width."""
+    found = over_runs(values)
+    low, high = (found.value, found.value) if len(values) < 2 else found[1:]
+    return {"mean": found.value, "low": low, "high": high}
 
 
 def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Progress = quiet) -> Path:
