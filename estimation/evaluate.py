@@ -15,6 +15,7 @@ from .fisher import crb, snr
 from .signal.directions import Float
 from .signal.model import SignalModel
 from .signal.paths import PathTable
+from .statistics import half_width
 
 GATE = 60.0
 """Largest squared Mahalanobis distance (six parameters) at which a detection still counts as that path."""
@@ -159,9 +160,9 @@ def summarize(matches: list[Match], accuracy_from: float = 10**1.8) -> Summary:
         return Summary(unknown, nothing, np.nan, nothing[0], unknown, 0, 0, false, len(matches))
     ratio = error**2 / np.diagonal(bound, axis1=1, axis2=2)
     rmse = np.sqrt(ratio.mean(axis=0))
-    spread = 1.96 * ratio.std(axis=0) / np.sqrt(max(count, 1)) / (2 * np.maximum(rmse, 1e-300))
+    spread = half_width(ratio.std(axis=0), count) / (2 * np.maximum(rmse, 1e-300))
     mean = nees.mean() / size
-    width = 1.96 * nees.std() / size / np.sqrt(max(count, 1))
+    width = half_width(nees.std() / size, count)
     return Summary(
         rmse,
         np.stack([rmse - spread, rmse + spread], axis=1),

@@ -8,7 +8,6 @@ stays below the threshold of the false-path rate, reporting two paths would be g
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import beta
 
 from .estimators.nomp import Nomp
 from .estimators.projector import Bases, Projector
@@ -18,15 +17,9 @@ from .scenarios import FRONT, Draw, draw_paths, reference_link
 from .signal.model import SignalModel
 from .signal.paths import Geometry, PathTable
 from .signal.synthesis import synthesize
+from .statistics import proportion
 
 DIMENSIONS = ("delay", "aoa", "aod", "speed")
-
-
-def interval(successes: int, trials: int) -> tuple[float, float]:
-    """Clopper-Pearson 95 % interval of a proportion."""
-    low = 0.0 if successes == 0 else float(beta.ppf(0.025, successes, trials - successes + 1))
-    high = 1.0 if successes == trials else float(beta.ppf(0.975, successes + 1, trials - successes))
-    return low, high
 
 
 def close_pair(
@@ -91,7 +84,7 @@ def resolution(dimension: int, separations, rho_db: float, trials: int, seed: in
             {
                 "separation": separation,
                 "resolved": good / trials,
-                "interval": interval(good, trials),
+                "interval": proportion(good, trials),
                 "possible": possible / trials,
                 "trials": trials,
             }

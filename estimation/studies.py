@@ -18,7 +18,6 @@ from .estimators import find
 from .estimators.detect import detection_probability
 from .estimators.nomp import Nomp
 from .evaluate import Match, associate, detection_by_band, nees_by_band, summarize
-from .resolution import interval
 from .scenarios import FRONT, Draw, at_snr, draw_paths, hybrid_link, reference_link, swept_link
 from .signal.arrays import ura
 from .signal.model import SignalModel
@@ -26,6 +25,7 @@ from .signal.paths import PARAMETERS, PathTable
 from .signal.schedule import random_phase_beams, sweep
 from .signal.synthesis import synthesize
 from .signal.waveform import comb
+from .statistics import half_width, percentiles, proportion
 
 BANDS = (10, 14, 17, 20, 25, 35, 50, 90)
 
@@ -66,7 +66,7 @@ def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
             law = detection_probability(rho[inside], runs.threshold, runs.parameters)
             detect[f"{low}-{high}"] = {
                 "p_detect": found / present,
-                "interval": interval(found, present),
+                "interval": proportion(found, present),
                 "paths": present,
                 "model": float(law.mean()),
             }
@@ -76,7 +76,7 @@ def report_runs(runs: Runs, accuracy_from_db: float = 18.0) -> dict:
         if count
     }
     false = np.array([m.false for m in runs.matches])
-    width = 1.96 * np.sqrt(max(false.mean(), 1 / len(false)) / len(false))
+    width = half_width(np.sqrt(max(false.mean(), 1 / len(false))), len(false))
     return {
         "rmse_over_crb": dict(zip(PARAMETERS, total.rmse_over_crb.tolist(), strict=True)),
         "rmse_interval": dict(zip(PARAMETERS, total.rmse_interval.tolist(), strict=True)),
@@ -162,7 +162,7 @@ def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
                 "nominal": rate,
                 "threshold": threshold,
                 "measured": above / snapshots,
-                "interval": interval(above, snapshots),
+                "interval": proportion(above, snapshots),
             }
         )
     return rows
@@ -297,7 +297,7 @@ def search_loss(
         "search": (hits[0] / trials).tolist(),
         "from_truth": (hits[1] / trials).tolist(),
         "loss_db": shift(hits[0]) - shift(hits[1]),
-        "interval_db": np.percentile(boot, [2.5, 97.5]).tolist(),
+        "interval_db": percentiles(boot),
         "threshold": estimator.level,
         "trials": trials,
     }

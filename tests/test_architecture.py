@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -60,6 +61,20 @@ def test_only_the_command_line_prints_or_exits(path):
     calls = [n.func for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.Call)]
     assert "print" not in {f.id for f in calls if isinstance(f, ast.Name)}
     assert "exit" not in {f.attr for f in calls if isinstance(f, ast.Attribute)}
+
+
+ONCE = {
+    "estimation/statistics.py": r"2\.5, 97\.5|\bppf\(0\.(025|975)|\bt as student\b|\bdef _?bootstrap",
+}
+"""What is said in one place only: a pattern of its code, and the module that may hold it."""
+
+
+@pytest.mark.parametrize("where", ONCE)
+def test_each_thing_is_said_once(where):
+    others = [p for p in MODULES if p.relative_to(ROOT).as_posix() != where]
+    again = [str(p.relative_to(ROOT)) for p in others if re.search(ONCE[where], p.read_text(encoding="utf-8"))]
+    assert not again, f"{again} say anew what {where} says"
+    assert re.search(ONCE[where], (ROOT / where).read_text(encoding="utf-8"))
 
 
 FLOORS = [

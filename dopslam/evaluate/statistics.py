@@ -1,11 +1,13 @@
-"""Means and differences with their 95 % intervals, over runs and over the steps of one run."""
+"""Means and differences with their 95 % intervals, over runs and over the steps of one run; the methods are those of
+:mod:`estimation.statistics`."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+
+from estimation import statistics
 
 DRAWS = 2000
 
@@ -23,9 +25,7 @@ def over_runs(values) -> Interval:
     values = np.asarray(values, float)
     if len(values) < 2:
         return Interval(float(values.mean()) if len(values) else np.nan, np.nan, np.nan)
-    mean = float(values.mean())
-    half = float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return Interval(mean, mean - half, mean + half)
+    return Interval(*statistics.mean(values).values())
 
 
 def block_length(steps: int) -> int:
@@ -54,5 +54,4 @@ def over_steps(errors, others=None, seed: int = 0) -> Interval:
     first = np.random.default_rng(seed).integers(0, steps, (DRAWS, -(-steps // block)))
     chosen = ((first[..., None] + np.arange(block)) % steps).reshape(DRAWS, -1)[:, :steps]
     drawn = np.sqrt(squares[chosen].mean(axis=1)) - np.sqrt(against[chosen].mean(axis=1))
-    low, high = np.percentile(drawn, [2.5, 97.5])
-    return Interval(value, float(low), float(high))
+    return Interval(value, *statistics.percentiles(drawn))

@@ -16,6 +16,7 @@ from dopslam.slam.belief.records import Form
 from dopslam.slam.belief.stacked.stacked import Stacked
 from dopslam.slam.belief.start import Box
 from dopslam.studies.bp_run import Score, evaluate, run
+from estimation.statistics import average_and_last, bootstrap
 
 LOST = 0.1  # m, position RMSE from which a run counts as lost
 
@@ -70,12 +71,13 @@ def one_run(
     )
 
 
-def interval(squares: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
-    """Root mean square over runs and its 95 % bootstrap interval, from per-run mean squares (R,)."""
-    rng = np.random.default_rng(seed)
-    draws = np.sqrt(squares[rng.integers(0, squares.size, (2000, squares.size))].mean(axis=1))
-    low, high = np.percentile(draws, [2.5, 97.5])
-    return float(np.sqrt(squares.mean())), float(low), float(high)
+def interval(squares: np.ndarray) -> tuple[float, float, float]:
+    """Root mean square over runs and its bootstrap interval, from per-run mean squares (R,)."""
+    return _root_mean(squares), *bootstrap(squares, _root_mean, draws=2000)
+
+
+def _root_mean(squares: np.ndarray) -> float:
+    return float(np.sqrt(squares.mean()))
 
 
 def summary(results: Sequence[RunResult]) -> dict:
@@ -96,7 +98,7 @@ def summary(results: Sequence[RunResult]) -> dict:
     rmse = {name: interval(values.mean(axis=1)) for name, values in squared.items()}
     lowest = {name: float(np.sqrt(values.mean())) for name, values in limits.items()}
     ratio = {name: rmse_over_bound(squared[name], limits[name]) for name in squared}
-    ratio_interval = {name: _ratio_interval(squared[name], limits[name]) for name in squared}
+    ratio_interval = {name: bootstrap([squared[name], limits[name]], rmse_over_bound) for name in squared}
     nees = np.array([s.nees[skip:].mean() for s in scores])
     belief = np.mean([s.type_history for s in scores], axis=0)
     below = [np.flatnonzero(column < 0.9) for column in belief.T]
@@ -120,10 +122,10 @@ def summary(results: Sequence[RunResult]) -> dict:
         "orientation_rmse_interval_deg": [float(np.degrees(v)) for v in rmse["heading"][1:]],
         "orientation_bound_deg": float(np.degrees(lowest["heading"])),
         "nees_mean": float(nees.mean()),
-        "nees_interval": _bootstrap(nees),
+        "nees_interval": bootstrap(nees),
         "nees_expected": 3,
-        "gospa_va_m": _average_and_last(gospa["va"][..., 0]),
-        "gospa_sp_m": _average_and_last(gospa["sp"][..., 0]),
+        "gospa_va_m": average_and_last(gospa["va"][..., 0]),
+        "gospa_sp_m": average_and_last(gospa["sp"][..., 0]),
         "worst_run_m": max(s.position_rmse for s in scores),
         "diverged": sum(s.position_rmse > LOST for s in scores),
         "failures": [],
@@ -137,27 +139,4 @@ def summary(results: Sequence[RunResult]) -> dict:
         "microseconds_per_step": 1e6 * seconds,
         "effective_particles": float(np.median([r.effective for r in results])),
         "per_step": steps,
-    }
-
-
-def _bootstrap(values: np.ndarray) -> list[float]:
-    """95 % percentile interval of the mean over runs."""
-    draws = np.random.default_rng(0).integers(0, values.size, (1000, values.size))
-    return [float(q) for q in np.percentile(values[draws].mean(axis=1), [2.5, 97.5])]
-
-
-def _ratio_interval(squared: np.ndarray, limits: np.ndarray) -> list[float]:
-    """95 % percentile interval of :func:`~dopslam.evaluate.metrics.rmse_over_bound` over runs."""
-    draws = np.random.default_rng(0).integers(0, len(squared), (1000, len(squared)))
-    return [float(q) for q in np.percentile([rmse_over_bound(squared[i], limits[i]) for i in draws], [2.5, 97.5])]
-
-
-def _average_and_last(values: np.ndarray) -> dict:
-    """Time average and last step of a (runs, K) array, with intervals."""
-    average, last = values.mean(axis=1), values[:, -1]
-    return {
-        "average": float(average.mean()),
-        "average_interval": _bootstrap(average),
-        "last": float(last.mean()),
-        "last_interval": _bootstrap(last),
     }

@@ -23,7 +23,8 @@ from dopslam.slam.belief.records import Form
 from dopslam.slam.filter import run as run_filter
 from dopslam.studies.bp_cases import CASES
 from dopslam.studies.bp_study import one_run, summary
-from dopslam.studies.traced import NOISES, largest_order, mean_interval, prepare
+from dopslam.studies.traced import NOISES, largest_order, prepare
+from estimation import statistics
 
 VARIANTS = ("kept", "dropped", "independent")
 
@@ -75,8 +76,8 @@ def traced(
             figures[name].append(summarize(run, landmarks, own.evaluation.found_radius))
     return {
         name: {
-            "position_over_bound": mean_interval([run["rmse_over_bound"]["position"] for run in runs]),
-            "nees": mean_interval([run["nees"] for run in runs]),
+            "position_over_bound": statistics.mean([run["rmse_over_bound"]["position"] for run in runs]),
+            "nees": statistics.mean([run["nees"] for run in runs]),
             "found": int(sum(run["va_found"] + run["sp_found"] for run in runs)),
             "of": int(sum(run["va_total"] + run["sp_total"] for run in runs)),
         }

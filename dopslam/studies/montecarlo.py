@@ -26,6 +26,7 @@ from dopslam.slam.filter import Filter, Problem, uses_doppler
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
+from estimation.statistics import average_and_last, bootstrap
 
 Array = NDArray[np.float64]
 
@@ -188,18 +189,6 @@ def _warm_run(study: Study, seed: int, run: int) -> RunResult:
     return run_once(study, seed, run)
 
 
-def _bootstrap(values, statistic, draws: int = 1000) -> list[float]:
-    """95 % percentile interval of `statistic(*arrays over runs)`."""
-    rng = np.random.default_rng(0)
-    runs = len(values[0])
-    samples = [statistic(*(v[index] for v in values)) for index in rng.integers(0, runs, (draws, runs))]
-    return [float(q) for q in np.percentile(samples, [2.5, 97.5])]
-
-
-def _mean_with_interval(values: Array) -> dict[str, Any]:
-    return {"value": float(values.mean()), "interval": _bootstrap([values], np.mean)}
-
-
 def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
     """The study as plain numbers and lists, ready for JSON.
 
@@ -232,7 +221,7 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
     ratios = {
         name: {
             "value": rmse_over_bound(squared[name], bound[name]),
-            "interval": _bootstrap([squared[name], bound[name]], rmse_over_bound),
+            "interval": bootstrap([squared[name], bound[name]], rmse_over_bound),
         }
         for name in bound
     }
@@ -246,13 +235,13 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         **{f"{name}_bound_{units[name]}": float(np.sqrt(bound[name].mean(axis=0)).mean()) for name in bound},
         "heading_rmse_deg": float(np.degrees(np.sqrt(squared["heading"].mean(axis=0)).mean())),
         "nees_mean": float(per_run_nees.mean()),
-        "nees_interval": _bootstrap([per_run_nees], np.mean),
+        "nees_interval": bootstrap(per_run_nees),
         "nees_expected": 4 if "speed" not in names else 6,
         "nis_per_row": _finite(np.mean([r.nis for r in good])),
-        "gospa_va_m": _time_and_last(gospa_va[..., 0]),
-        "gospa_sp_m": _time_and_last(gospa_sp[..., 0]),
+        "gospa_va_m": average_and_last(gospa_va[..., 0]),
+        "gospa_sp_m": average_and_last(gospa_sp[..., 0]),
         "correct_da_weight": float(weight.mean()) if np.isfinite(weight).all() else None,
-        "correct_da_weight_interval": _bootstrap([weight], np.mean) if np.isfinite(weight).all() else None,
+        "correct_da_weight_interval": bootstrap(weight) if np.isfinite(weight).all() else None,
         "intensity_va_per_m3": float(study.told.undetected[0]),
         "intensity_sp_per_m3": float(study.told.undetected[1]),
         "diverged": diverged,
@@ -287,14 +276,3 @@ def _per_run(results: list[RunResult]) -> dict[str, list]:
 def _finite(value: float) -> float | None:
     """A number for JSON; None where a filter has no such figure."""
     return float(value) if np.isfinite(value) else None
-
-
-def _time_and_last(values: Array) -> dict[str, Any]:
-    """Time average and last step of a (runs, K) array, with intervals."""
-    average, last = _mean_with_interval(values.mean(axis=1)), _mean_with_interval(values[:, -1])
-    return {
-        "average": average["value"],
-        "average_interval": average["interval"],
-        "last": last["value"],
-        "last_interval": last["interval"],
-    }

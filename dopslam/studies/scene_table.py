@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from dopslam.studies.proportions import median, share
+from estimation.statistics import median, share
 
 
 def text(results: list[dict]) -> str:

@@ -15,23 +15,16 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
-from dopslam.evaluate.statistics import over_runs
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import largest_order
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.store import file as dataset
+from estimation import statistics
 
 COMPARED = ("joint", "marginal", "smoother", "bp")
 NOISES = {"estimator": "none", "paper": "model"}
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "nees", "gospa_va_m", "gospa_sp_m")
-
-
-def mean_interval(values) -> dict:
-    """Mean and 95 % interval (Student) over the runs; one run alone gets an interval without width."""
-    found = over_runs(values)
-    low, high = (found.value, found.value) if len(values) < 2 else found[1:]
-    return {"mean": found.value, "low": low, "high": high}
 
 
 def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Progress = quiet) -> Path:
@@ -113,7 +106,7 @@ def study(
             for name in found[0]
         }
         result[noise]["doppler_gain"] = {
-            density: mean_interval([
+            density: statistics.mean([
                 run[f"{density}, no Doppler"]["position_rmse_m"] / run[density]["position_rmse_m"] for run in runs
             ])
             for density in ("joint", "marginal")
@@ -135,9 +128,10 @@ def _by_step(runs: list[Evaluation]) -> dict[str, list[float]]:
 
 
 def _pooled(runs: list[dict]) -> dict:
-    pooled: dict = {name: mean_interval([run[name] for run in runs]) for name in FIGURES}
+    pooled: dict = {name: statistics.mean([run[name] for run in runs]) for name in FIGURES}
     pooled["rmse_over_bound"] = {
-        name: mean_interval([run["rmse_over_bound"][name] for run in runs]) for name in ("position", "heading", "clock")
+        name: statistics.mean([run["rmse_over_bound"][name] for run in runs])
+        for name in ("position", "heading", "clock")
     }
     errors = [e for run in runs for e in run["landmark_error_m"].values()]
     pooled["landmarks_within_1_m"] = _within(errors)

@@ -6,8 +6,8 @@ import pytest
 from dopslam.evaluate.mapping import STEPS, fate, steps_seen
 from dopslam.records import Kind, Landmarks
 from dopslam.slam.history import history_of
-from dopslam.studies.proportions import median, share
 from dopslam.studies.scenes import verdict
+from estimation.statistics import median, share
 
 LANDMARKS = Landmarks(
     name=np.array(["BS", "VA a", "VA b", "VA a > b", "SP p"]),
