@@ -49,7 +49,7 @@ sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ROOMS or name in ("problem", "slam", "evaluate", "simulate"):
+    if name in _ROOMS or name in ("slam", "evaluate", "simulate"):
         return importlib.import_module(f"dopslam.{name}")
     if name in _NAMES:
         return getattr(importlib.import_module(f"dopslam.{_NAMES[name]}"), name)

@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dopslam import problem as build
 from dopslam.config import scenario as config
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages
 from dopslam.pipeline.judge import judged
 from dopslam.pipeline.stages import SyntheticSignal, Truth

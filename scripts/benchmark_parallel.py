@@ -17,8 +17,8 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
-from dopslam import problem as build
 from dopslam.config.scenario import load
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.raytracing import images as geometry
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths, Track

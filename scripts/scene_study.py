@@ -20,8 +20,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 from joblib import Parallel, delayed  # noqa: E402
 
-from dopslam.generators import GENERATORS  # noqa: E402
 from dopslam.report.folder import write_json, write_text  # noqa: E402
+from dopslam.scenes.generators import GENERATORS  # noqa: E402
 from dopslam.studies import scenes  # noqa: E402
 from dopslam.studies.scene_table import text  # noqa: E402
 

@@ -16,8 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 import dopslam as ds
-from dopslam.link import signal_model
 from dopslam.models.motion import propagate, transition_jacobian
+from dopslam.pipeline.link import signal_model
 from dopslam.pipeline.stages import stack_detections
 from estimation import Nomp
 

@@ -27,7 +27,7 @@ def test_importing_costs_nothing_heavy():
 def test_rooms_that_are_verbs_can_be_called_and_imported_from():
     code = (
         "from dopslam.slam import history; import dopslam as ds; assert callable(ds.slam) and ds.slam.history is history\n"
-        "from dopslam import problem; assert problem.motion and callable(problem)"
+        "from dopslam.pipeline import problem; assert problem.motion and callable(ds.problem)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

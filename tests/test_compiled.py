@@ -9,7 +9,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from estimation import jit
 
 CALLEE = """

@@ -10,6 +10,7 @@ from dopslam.config.scenario import load
 from dopslam.errors import SceneError
 from dopslam.evaluate import detections as matching
 from dopslam.pipeline import file as stages
+from dopslam.pipeline.judge import match_series
 from dopslam.records import DetectionSeries, Landmarks, same
 from dopslam.report.tables import study_text
 from dopslam.store import file as dataset
@@ -41,7 +42,7 @@ def test_stored_signal_and_two_workers_change_nothing(traced, tmp_path):
 
 def test_line_of_sight_and_walls_are_detected_within_their_covariance(traced):
     track, paths, detections = _truth(traced)
-    summary = matching.figures(matching.match_series(load("ring_road", SHORT), track, paths, detections))
+    summary = matching.figures(match_series(load("ring_road", SHORT), track, paths, detections))
     strong = summary["found_by_rho_db"]["20-90"]
     assert strong["found"] == strong["of"] >= 16
     assert summary["false_per_snapshot"] <= 0.5

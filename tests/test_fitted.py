@@ -5,7 +5,7 @@ import pytest
 from dopslam.config.fitted import SPEED_OF_LIGHT, reach
 from dopslam.config.scenario import load, override, parse
 from dopslam.errors import ConfigError
-from dopslam.generators import GENERATORS
+from dopslam.scenes.generators import GENERATORS
 
 MINIMAL = """
 name = "mine"

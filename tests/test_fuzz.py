@@ -517,7 +517,7 @@ def attack_with(seed: int, have: Material, kind: str | None = None) -> tuple[str
 
 def small_paths(scenario: Scenario, track: Track) -> tuple[Landmarks, Paths]:
     """Line of sight and scattered paths by hand."""
-    from dopslam import problem as build
+    from dopslam.pipeline import problem as build
 
     landmarks = build.model_landmarks(scenario)
     bs, count = landmarks.position[0], len(landmarks)
@@ -548,9 +548,9 @@ def small_paths(scenario: Scenario, track: Track) -> tuple[Landmarks, Paths]:
 
 def make_material(folder: Path) -> Material:
     """Small files, made by the program itself; everything that is compiled is loaded once, here."""
-    from dopslam import problem as build
     from dopslam.cli import main
     from dopslam.pipeline import file as stages
+    from dopslam.pipeline import problem as build
     from dopslam.pipeline.stages import draw_track
     from dopslam.records import DetectionSeries
     from dopslam.store import file as dataset

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dopslam import llvm
+from dopslam.compute import llvm
 from dopslam.errors import LLVMError
 
 
@@ -86,7 +86,7 @@ def test_symbolic_links_are_one_candidate(tmp_path, monkeypatch):
 
 def test_looking_does_not_load_anything_here():
     """A wrong libLLVM loaded into this process could be taken by Dr.Jit, or abort it."""
-    code = "from dopslam import llvm; llvm.candidates();assert 'libLLVM' not in open('/proc/self/maps').read()"
+    code = "from dopslam.compute import llvm; llvm.candidates();assert 'libLLVM' not in open('/proc/self/maps').read()"
     if not Path("/proc/self/maps").exists():
         pytest.skip("needs /proc")
     subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)))

@@ -9,7 +9,7 @@ import pytest
 from dopslam.cli import main
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.scans import Scans
-from dopslam.problem import told
+from dopslam.pipeline.problem import told
 from dopslam.simulate.world import section_v, simulate
 from dopslam.slam.history import COLUMNS, history_of
 from dopslam.slam.pmb import ek_pmb

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dopslam.config.scenario import parse
-from dopslam.outlook import outlook
 from dopslam.pipeline.look import look
+from dopslam.pipeline.outlook import outlook
 from dopslam.raytracing.images import reflected_paths, zenith_azimuth
 from dopslam.records import SPEED_OF_LIGHT, Kind, Landmarks, Paths, Track
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dopslam.config.scenario import load, override, parse
+from dopslam.config.trackfile import from_file, from_waypoints
 from dopslam.errors import ConfigError
 from dopslam.pipeline import stages
-from dopslam.trackfile import from_file, from_waypoints
 
 STOP_AND_GO = [[0, 0, 0], [10, 0, 5], [10, 0, 8], [20, 5, 14]]
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dopslam import preflight, raytracing
+from dopslam import raytracing
 from dopslam.config.scenario import load, parse
 from dopslam.errors import SceneError
-from dopslam.pipeline import stages
+from dopslam.pipeline import preflight, stages
 
 pytestmark = pytest.mark.rt
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dopslam import link as radio
 from dopslam.config.scenario import load
 from dopslam.errors import ConfigError
 from dopslam.models.measurement import SP, VA, measure
+from dopslam.pipeline import link as radio
 from dopslam.raytracing.images import reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.records import SPEED_OF_LIGHT, Paths, Track
 from estimation import PathTable, snr

@@ -60,8 +60,8 @@ def bound(
         used = "with" if doppler else "without"
         console.print(f"{scene}: bound added ({used} Doppler, the run's own detections and R)")
         return
-    from dopslam import problem as build
     from dopslam.config.scenario import load
+    from dopslam.pipeline import problem as build
     from dopslam.report.folder import write_text
     from dopslam.store.place import refuse_no_file
     from dopslam.studies.summary import bound_table, contribution_table, nominal_bound

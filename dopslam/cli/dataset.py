@@ -52,7 +52,7 @@ def dataset(
     from rich.console import Console
 
     from dopslam.cli.bars import timed_bars
-    from dopslam.cluster import workers
+    from dopslam.compute.cluster import workers
     from dopslam.config.scenario import load
     from dopslam.datasets import generate, make_plan
 

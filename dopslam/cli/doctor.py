@@ -25,7 +25,7 @@ def doctor() -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from dopslam import llvm
+    from dopslam.compute import llvm
 
     console = Console(highlight=False, soft_wrap=True, markup=False)
     for title, rows in (
@@ -46,7 +46,7 @@ def doctor() -> None:
 
 
 def _system() -> Iterator[tuple[str, str, bool | None]]:
-    from dopslam import llvm
+    from dopslam.compute import llvm
 
     version = platform.python_version()
     yield "python", f"{version} ({sys.executable})", sys.version_info >= (3, 11)
@@ -77,7 +77,7 @@ def _packages() -> Iterator[tuple[str, str, bool | None]]:
 
 
 def _llvm() -> Iterator[tuple[str, str, bool | None]]:
-    from dopslam import llvm
+    from dopslam.compute import llvm
 
     found = llvm.candidates()
     chosen = next((candidate for candidate in found if candidate.works), None)
@@ -125,7 +125,7 @@ def _writable(folder: Path) -> bool:
 
 def _verdict() -> tuple[bool, str]:
     """Whether a kernel compiles and runs, tried in a process of its own: a bad library may abort it."""
-    from dopslam import llvm
+    from dopslam.compute import llvm
     from dopslam.errors import LLVMError
 
     try:

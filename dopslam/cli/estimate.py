@@ -23,7 +23,7 @@ def estimate(dataset: Path, *, jobs: int | None = None, cluster: str | None = No
     settings
         Override a scenario key, for instance --set estimator.false_alarm_rate=0.1.
     """
-    from dopslam.cluster import workers
+    from dopslam.compute.cluster import workers
     from dopslam.pipeline import file as stages
 
     with workers(cluster) as threads, progress_display() as progress:

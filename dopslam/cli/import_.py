@@ -38,11 +38,11 @@ def import_(
     """
     from rich.console import Console
 
-    from dopslam import problem as build
     from dopslam.config.scenario import load
     from dopslam.datasets import tracks
     from dopslam.errors import DatasetError
     from dopslam.formats import table as foreign
+    from dopslam.pipeline import problem as build
     from dopslam.store import file as dataset
 
     if out.exists():

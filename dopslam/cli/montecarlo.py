@@ -57,7 +57,7 @@ def montecarlo(
     """
     from rich.console import Console
 
-    from dopslam.cluster import workers
+    from dopslam.compute.cluster import workers
     from dopslam.config.scenario import load
     from dopslam.errors import ConfigError
     from dopslam.store.place import refuse_no_file

@@ -49,8 +49,8 @@ def new(
     """
     from rich.console import Console
 
-    from dopslam.create import new_scene
-    from dopslam.plans.raise_ import Usual
+    from dopslam.pipeline.create import new_scene
+    from dopslam.scenes.plans.raise_ import Usual
 
     if kind is None and source is None:
         kind, source = _asked()
@@ -74,8 +74,8 @@ def _asked() -> tuple[str | None, Path | None]:
     from rich.prompt import Prompt
 
     from dopslam.errors import ConfigError
-    from dopslam.generators import GENERATORS
     from dopslam.raytracing import builtin_scenes
+    from dopslam.scenes.generators import GENERATORS
 
     if not sys.stdin.isatty():
         raise ConfigError("give --kind street (plaza, room, corridor, hall, builtin:NAME) or --from FILE")

@@ -67,8 +67,8 @@ def run(
     from dopslam.config.scenario import load
     from dopslam.pipeline import file as stages
     from dopslam.pipeline.look import look_at
+    from dopslam.pipeline.preflight import refuse
     from dopslam.pipeline.reads import refuse_unread
-    from dopslam.preflight import refuse
     from dopslam.report import folder, tables
 
     used, std = doppler_choice(doppler_std)

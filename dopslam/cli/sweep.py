@@ -26,7 +26,7 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     from rich.table import Table
 
     from dopslam.cli.bars import timed_bars
-    from dopslam.cluster import workers
+    from dopslam.compute.cluster import workers
     from dopslam.errors import DatasetError
     from dopslam.report.folder import write_json, write_text
     from dopslam.studies import sweep as library

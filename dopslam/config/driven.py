@@ -9,8 +9,8 @@ from dopslam.config.generated import under
 from dopslam.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dopslam.config.scenario import Scenario
-    from dopslam.trackfile import Drive
+    from dopslam.config.sections import Sections
+    from dopslam.config.trackfile import Drive
 
 PERIOD = 0.2  # s, of waypoints
 KNOWN = {
@@ -53,13 +53,13 @@ def driven(tree: dict, folder: Path | None) -> tuple[dict, Drive | None]:
     return under(tree, made), drive
 
 
-def drive_of(scenario: Scenario) -> Drive:
-    """The drive of a scenario that has one of its own."""
-    return _drive(scenario.track.model_dump(), scenario.receiver.height, scenario._folder)
+def drive_of(scenario: Sections, folder: Path | None) -> Drive:
+    """The drive of a scenario that has one of its own; a relative file lies in ``folder``."""
+    return _drive(scenario.track.model_dump(), scenario.receiver.height, folder)
 
 
 def _drive(track: dict, height: float, folder: Path | None) -> Drive:
-    from dopslam.trackfile import from_file, from_waypoints  # needs NumPy, which --help does without
+    from dopslam.config.trackfile import from_file, from_waypoints  # needs NumPy, which --help does without
 
     file, points = track.get("file"), track.get("waypoints")
     if file and points:

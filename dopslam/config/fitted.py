@@ -11,8 +11,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dopslam.config.scenario import Scenario
-    from dopslam.trackfile import Drive
+    from dopslam.config.sections import Sections
+    from dopslam.config.trackfile import Drive
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s; dopslam.records has it too, but needs NumPy, which --help does without
 # Up to a carrier [Hz]: bandwidth and subcarrier spacing [Hz] that are usual there (3GPP FR1, FR2-1, FR2-2).
@@ -29,7 +29,7 @@ SMALLEST_SPACE = 3.0  # m
 WALKING = 3.0  # m/s, the fastest walk
 
 
-def fitted(scenario: Scenario, drive: Drive | None = None) -> dict[str, Any]:
+def fitted(scenario: Sections, drive: Drive | None = None) -> dict[str, Any]:
     """Values, by section and key, of what a scenario leaves open; ``model_fields_set`` tells what it gives.
 
     ``drive`` is its own, if it has one: how far it goes and its largest speed count; its turns and stops the filter does not
@@ -48,7 +48,7 @@ def fitted(scenario: Scenario, drive: Drive | None = None) -> dict[str, Any]:
     return {name: keys for name, keys in kept.items() if keys}
 
 
-def reach(scenario: Scenario, drive: Drive | None = None) -> float:
+def reach(scenario: Sections, drive: Drive | None = None) -> float:
     """Farthest distance [m] between base station and receiver on the nominal drive, or on its own."""
     track, station = scenario.track, scenario.base_station.position
     if drive is not None:
@@ -64,7 +64,7 @@ def reach(scenario: Scenario, drive: Drive | None = None) -> float:
     return max(farthest, SMALLEST_SPACE)
 
 
-def _radio(scenario: Scenario, far: float) -> dict[str, Any]:
+def _radio(scenario: Sections, far: float) -> dict[str, Any]:
     """Pilots as far apart as the longest delay allows: the power is shared by all of them, so more would tell no more."""
     radio, track = scenario.radio, scenario.track
     given = radio.model_fields_set
@@ -89,7 +89,7 @@ def _radio(scenario: Scenario, far: float) -> dict[str, Any]:
     }
 
 
-def _track(scenario: Scenario, speed: float) -> dict[str, Any]:
+def _track(scenario: Sections, speed: float) -> dict[str, Any]:
     period = scenario.track.period
     time = math.sqrt(period)
     aside = max(1e-3, STRAY * speed * period)
@@ -97,7 +97,7 @@ def _track(scenario: Scenario, speed: float) -> dict[str, Any]:
     return {"process_std": tuple(float(f"{v:.3g}") for v in (aside, aside, turn, CLOCK * time))}
 
 
-def _agility(scenario: Scenario, speed: float) -> dict[str, Any]:
+def _agility(scenario: Sections, speed: float) -> dict[str, Any]:
     """Speed and turn rate are unknown: they walk as far in a step as the sharpest maneuver takes them in half of it."""
     track, car = scenario.track, speed > WALKING
     acceleration = track.max_acceleration or (3.0 if car else 1.5)

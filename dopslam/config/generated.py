@@ -29,7 +29,7 @@ def filled(tree: dict) -> dict:
 
 def generated(kind: str, seed: int, options: Any, tree: dict):
     """The scene, its materials chosen for the carrier that the tree of a scenario names, if it does."""
-    from dopslam.generators import generate  # needs NumPy, which --help does without
+    from dopslam.scenes.generators import generate  # needs NumPy, which --help does without
 
     radio = tree.get("radio")
     carrier = radio.get("carrier_frequency") if isinstance(radio, dict) else None

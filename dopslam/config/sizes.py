@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from dopslam.config.arrays import LARGEST_ARRAY, elements
 
 if TYPE_CHECKING:
-    from dopslam.config.scenario import Scenario
+    from dopslam.config.sections import Sections
 
 LARGEST_SNAPSHOT = 50_000_000  # samples, 0.4 GB
 LARGEST_DOPPLER = 4000  # resolution widths; a search of 850 takes 8 s a snapshot
 
 
-def refuse(scenario: Scenario) -> None:
+def refuse(scenario: Sections) -> None:
     """Raise ValueError, which names the keys and the limit, for what cannot be."""
     radio, station = scenario.radio, elements(scenario.base_station.array)
     factors = {

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.config.scenario import parse
-from dopslam.consistency import misfits
 from dopslam.datasets import plausible
 from dopslam.datasets.manifest import FILE, Manifest, read_manifest
 from dopslam.datasets.plan import shard_file
@@ -17,9 +16,10 @@ from dopslam.datasets.tracks import Steps
 from dopslam.errors import ConfigError, DatasetError, DopslamError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.walls import Walls
+from dopslam.pipeline.preflight import Finding
 from dopslam.pipeline.stages import Progress, quiet
-from dopslam.preflight import Finding
 from dopslam.records import SPEED_OF_LIGHT, BaseStations, DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.records.consistency import misfits
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
 from dopslam.store.schema import unit_of

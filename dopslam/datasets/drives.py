@@ -20,7 +20,7 @@ from dopslam.datasets.parts import Part, scenario_of
 from dopslam.errors import DatasetError
 from dopslam.models.measurement import wrap
 from dopslam.models.motion import CoordinatedTurn, paced, propagate
-from dopslam.problem import base_stations
+from dopslam.pipeline.problem import base_stations
 from dopslam.raytracing.traced import Traced, join
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
 from dopslam.store import file as dataset

@@ -6,11 +6,11 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from dopslam import link as radio
 from dopslam.config.drives import DatasetConfig
 from dopslam.config.scenario import Scenario
 from dopslam.datasets import tracks
 from dopslam.errors import ConfigError, DatasetError
+from dopslam.pipeline import link as radio
 
 LARGEST_SHARDS = 100_000
 

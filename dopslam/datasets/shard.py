@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from dopslam import link as radio
 from dopslam.config.scenario import Scenario, parse
 from dopslam.datasets.manifest import ShardEntry, sync_folder
 from dopslam.datasets.plan import Plan, shard_file
 from dopslam.datasets.tracks import Steps, Tracks
 from dopslam.errors import DatasetError
+from dopslam.pipeline import link as radio
 from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.problem import base_stations
 from dopslam.pipeline.stages import Component, Progress, quiet
-from dopslam.problem import base_stations
 from dopslam.records import BaseStations, Landmarks, Paths, Track
 from dopslam.report.folder import versions
 from dopslam.store import file as dataset

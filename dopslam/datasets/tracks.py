@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import problem as build
 from dopslam.config.drives import CircleTracks, DatasetConfig, DriveTracks, FileTracks, LineTracks
 from dopslam.config.scenario import Scenario
+from dopslam.config.trackfile import STANDING, course_held, read_rows, rising
 from dopslam.datasets.polygon import clearance
 from dopslam.errors import ConfigError
 from dopslam.models.measurement import wrap
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Component
 from dopslam.records import Track
 from dopslam.simulate import world as simulate_module
-from dopslam.trackfile import STANDING, course_held, read_rows, rising
 
 TRIES = 20_000  # random starts before a polygon counts as too narrow
 TURNS = np.linspace(-1, 1, 41)  # turn rates that a drive chooses from, over the largest

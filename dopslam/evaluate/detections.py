@@ -7,11 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from dopslam import link
-from dopslam.config.scenario import Scenario
-from dopslam.records import DetectionSeries, Paths, Track
+from dopslam.records import DetectionSeries, Paths
 from estimation import PARAMETERS, Detections, SignalModel
-from estimation.evaluate import Match, associate
+from estimation.evaluate import Match
 
 RHO_BANDS_DB = (10, 12, 14, 16, 17, 20, 90)
 
@@ -32,15 +30,6 @@ def snapshot(model: SignalModel, detections: DetectionSeries, step: int) -> Dete
         flags=np.zeros(len(covariance), np.uint8),
         active=model.active,
     )
-
-
-def match_series(scenario: Scenario, track: Track, paths: Paths, detections: DetectionSeries) -> list[Match]:
-    """Optimal assignment of the detections of every step to its true paths."""
-    model, noise = link.signal_model(scenario), link.noise_variance(scenario)
-    return [
-        associate(model, snapshot(model, detections, k), link.path_table(scenario, track, paths, k), noise)
-        for k in range(paths.steps)
-    ]
 
 
 def true_landmarks(matches: list[Match], paths: Paths, detections: DetectionSeries) -> np.ndarray:

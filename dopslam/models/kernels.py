@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import clear, compiled
+from dopslam.compute.compiled import clear, compiled
 
 BS, VA, SP, SR = 0, 1, 2, 3
 FREE_AZIMUTH, FREE_ELEVATION = 2.0 * math.pi, 0.5 * math.pi  # variances whose densities at 0 are 1/2π and 1/π: uniform

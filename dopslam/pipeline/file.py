@@ -7,18 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dopslam import problem as build
 from dopslam.config.scenario import Scenario, override, parse
-from dopslam.consistency import misfits
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name, walls_of
 from dopslam.pipeline.reads import refuse_unread
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.records.consistency import misfits
 from dopslam.report import figures, folder, page, replay, tables
 from dopslam.slam.history import History
 from dopslam.store import file as dataset

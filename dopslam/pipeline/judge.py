@@ -14,10 +14,11 @@ from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.evaluate.walls import Walls, wall_figures, walls
 from dopslam.filters import FILTERS
-from dopslam.problem import chosen_filter
+from dopslam.pipeline import link
+from dopslam.pipeline.problem import chosen_filter
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
 from dopslam.slam.history import History
-from estimation.evaluate import Match
+from estimation.evaluate import Match, associate
 
 WITHOUT = ", no Doppler"
 
@@ -36,6 +37,15 @@ def largest_order(name: str, landmarks: Landmarks) -> int:
     """Reflections of a virtual anchor that the map of this filter may hold; second reflections are a kind of their own."""
     limit = getattr(FILTERS[name], "largest_order", 1) if name in FILTERS else 1
     return int(landmarks.order.max()) if limit is None else limit
+
+
+def match_series(scenario: Scenario, track: Track, paths: Paths, detections: DetectionSeries) -> list[Match]:
+    """Optimal assignment of the detections of every step to its true paths."""
+    model, noise = link.signal_model(scenario), link.noise_variance(scenario)
+    return [
+        associate(model, matching.snapshot(model, detections, k), link.path_table(scenario, track, paths, k), noise)
+        for k in range(paths.steps)
+    ]
 
 
 def judged(
@@ -71,7 +81,7 @@ def judged(
     if not evaluations:
         raise DopslamError(f"no filter's history could be judged: {failed}")
     radius = scenario.evaluation.found_radius
-    matches = None if paths is None or detections is None else matching.match_series(scenario, track, paths, detections)
+    matches = None if paths is None or detections is None else match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, 1.0 if detections is None else detections.threshold)
     variants = {
         name: {"bound": "smoothing" if _whole_run(scenario, name) else "filtering"}

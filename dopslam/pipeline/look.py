@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import preflight
 from dopslam.config.scenario import Scenario
-from dopslam.outlook import Outlook, chosen_steps, outlook
 from dopslam.pipeline import file as stages
+from dopslam.pipeline import preflight
 from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.outlook import Outlook, chosen_steps, outlook
 from dopslam.records import Track
 
 RAYS = 20_000

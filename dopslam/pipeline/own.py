@@ -12,7 +12,7 @@ from dopslam.records import Track
 
 def own_track(scenario: Scenario, seed: int) -> Track:
     """The file's or the waypoints' drive; the clock walks as ``[track]`` says where the file has none."""
-    drive, config = drive_of(scenario), scenario.track
+    drive, config = drive_of(scenario, scenario._folder), scenario.track
     steps = len(drive.position) - 1
     bias = drive.bias[1:] if drive.bias is not None else np.full(steps, config.start[3])
     if drive.bias is None and config.random:

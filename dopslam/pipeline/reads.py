@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from dopslam import problem as build
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
+from dopslam.pipeline import problem as build
 
 
 def handed(stage: str, scenario: Scenario, names: Sequence[str] = ()) -> Any:

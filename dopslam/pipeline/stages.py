@@ -13,9 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import link as radio
-from dopslam import preflight
-from dopslam import problem as build
 from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
@@ -23,6 +20,10 @@ from dopslam.evaluate.run import true_association
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure, seen_noise
 from dopslam.models.scans import CLUTTER
+from dopslam.pipeline import link as radio
+from dopslam.pipeline import preflight
+from dopslam.pipeline import problem as build
+from dopslam.pipeline.judge import match_series
 from dopslam.pipeline.own import own_track
 from dopslam.pipeline.seeds import Component, generator
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
@@ -297,7 +298,7 @@ def blur(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detectio
 def slam(
     scenario: Scenario, detections: DetectionSeries, name: str | None = None, doppler: bool = True, seed: int = 0
 ) -> History:
-    """Track and map from detections; the filter is told what :func:`dopslam.problem.problem` says, and no more.
+    """Track and map from detections; the filter is told what :func:`dopslam.pipeline.problem.problem` says, and no more.
 
     Parameters
     ----------
@@ -331,7 +332,7 @@ def landmark_of_detections(
 ) -> np.ndarray:
     """(N,) landmark that each detection stems from by the truth, −1 for false ones; for bounds and evaluation only."""
     if paths is not None:
-        matches = matching.match_series(scenario, track, paths, detections)
+        matches = match_series(scenario, track, paths, detections)
         return matching.true_landmarks(matches, paths, detections)
     count = len(landmarks)
     exact = measure(

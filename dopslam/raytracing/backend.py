@@ -8,7 +8,7 @@ from functools import cache
 from types import ModuleType
 from typing import Any
 
-from dopslam import llvm
+from dopslam.compute import llvm
 from dopslam.errors import LLVMError
 
 resource: Any = None

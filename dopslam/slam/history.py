@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_vector
+from dopslam.compute.compiled import compiled, copy_vector
 from dopslam.records import Kind, Ragged, check_offsets, edges_of
 from dopslam.slam.pmb.density import INERT, PMB
 

@@ -9,7 +9,7 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.models.amplitude import AmplitudeModel, Radio, flat_rms_bandwidth
-from dopslam.problem import assumptions
+from dopslam.pipeline.problem import assumptions
 from dopslam.records import SPEED_OF_LIGHT
 from dopslam.slam.belief.experiment import Experiment
 from dopslam.slam.belief.records import Form, Parameters

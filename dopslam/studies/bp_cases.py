@@ -19,7 +19,7 @@ from dopslam.slam.belief.experiment import (
 )
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.records import AOD_FOR_VA, PAPER, Form, Parameters
-from dopslam.slam.belief.stacked.likelihood import backend
+from dopslam.slam.belief.stacked.backends import backend
 from dopslam.slam.belief.stacked.stacked import Stacked
 from dopslam.studies.bp_study import RunResult, motion_of, one_run
 

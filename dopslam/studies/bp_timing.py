@@ -10,7 +10,7 @@ import numpy as np
 from dopslam.slam.belief.experiment import Experiment, draw_scan, draw_track, true_amplitudes
 from dopslam.slam.belief.motion import particles
 from dopslam.slam.belief.records import PAPER, Form, Scan
-from dopslam.slam.belief.stacked.likelihood import backend
+from dopslam.slam.belief.stacked.backends import backend
 from dopslam.slam.belief.stacked.stacked import Stacked, StackedState
 from dopslam.studies.bp_study import motion_of
 

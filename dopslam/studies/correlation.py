@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import problem as build
 from dopslam.config.scenario import Scenario
 from dopslam.evaluate.run import evaluate_run, summarize
 from dopslam.pipeline import file as files
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.slam.belief.conditional.filter import Conditional

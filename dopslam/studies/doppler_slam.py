@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 
 from dopslam.evaluate.bounds import situation_bound
 from dopslam.filters import FILTERS
-from dopslam.problem import told
+from dopslam.pipeline.problem import told
 from dopslam.report.figures import house_style
 from dopslam.simulate.world import section_v, unknown_motion
 from dopslam.slam.pmb.filters import Joint, Smoother

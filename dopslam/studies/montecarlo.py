@@ -20,7 +20,7 @@ from dopslam.evaluate.bounds import detection_mask, situation_bound
 from dopslam.evaluate.metrics import gospa, nees, rmse_over_bound, squared_errors, state_errors
 from dopslam.models.measurement import SP, VA
 from dopslam.models.scans import Scans
-from dopslam.problem import told
+from dopslam.pipeline.problem import told
 from dopslam.simulate.world import Situation, simulate
 from dopslam.slam.filter import Filter, Problem, uses_doppler
 from dopslam.slam.filter import run as run_filter

@@ -20,7 +20,7 @@ from dopslam.evaluate.run import evaluate_run, summarize
 from dopslam.filters import FILTERS
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
-from dopslam.pipeline.judge import largest_order
+from dopslam.pipeline.judge import largest_order, match_series
 from dopslam.records import Kind
 from dopslam.report.folder import write_json
 from dopslam.store import file as dataset
@@ -102,7 +102,7 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
     order = largest_order(density, landmarks)
     evaluation = evaluate_run(scenario, track, landmarks, history, bound, order)
-    matches = matching.match_series(scenario, track, paths, detections)
+    matches = match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, detections.threshold)
     fate = mapping.fate(landmarks, history, scenario.filter.report_existence, *seen)
     squared = np.concatenate([m.nees for m in matches])

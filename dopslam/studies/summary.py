@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam import problem as build
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import Bound, doppler_contribution, situation_bound
+from dopslam.pipeline import problem as build
 from dopslam.simulate.world import FixedNoise, Situation, unknown_motion
 from dopslam.studies.montecarlo import Study
 

@@ -17,7 +17,7 @@ from dopslam.evaluate import detections as matching
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
-from dopslam.pipeline.judge import largest_order
+from dopslam.pipeline.judge import largest_order, match_series
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.store import file as dataset
 from estimation import statistics
@@ -89,7 +89,7 @@ def study(
     matches, sight = [], []
     for path in paths:
         track, _, traced, _ = stages.read_truth(path)
-        matches += matching.match_series(scenario, track, traced, stages.read_detections(path))
+        matches += match_series(scenario, track, traced, stages.read_detections(path))
         sight.append([bool(np.any(traced.landmark[traced.rows(k)] == 0)) for k in range(traced.steps)])
     result: dict = {
         "scenario": scenario.name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -21,11 +21,29 @@ from .misfit import misfit
 from .projector import Projector
 from .refine import Linearization, information, linearize
 
-if TYPE_CHECKING:
-    from .nomp import Nomp
+
+class Settings(Protocol):
+    """What the report reads of an estimator: its model, the region it searched, and how it decided."""
+
+    @property
+    def model(self) -> SignalModel: ...
+    @property
+    def false_alarm_rate(self) -> float: ...
+    @property
+    def level(self) -> float: ...
+    @property
+    def error_share(self) -> float: ...
+    @property
+    def max_delay(self) -> float | None: ...
+    @property
+    def max_speed(self) -> float: ...
+    @property
+    def arrival_view(self) -> View: ...
+    @property
+    def departure_view(self) -> View: ...
 
 
-def empty(estimator: Nomp, noise_variance: float) -> Detections:
+def empty(estimator: Settings, noise_variance: float) -> Detections:
     """No path."""
     pair, square = np.empty((0, 2)), np.empty((0, 6, 6))
     return Detections(
@@ -64,7 +82,7 @@ def unbiased(lin: Linearization, snr, threshold: float, active) -> Linearization
     return replace(lin, gain=lin.gain * np.sqrt(np.minimum(own / snr, 1.0)))
 
 
-def canonical(estimator: Nomp, model: SignalModel, geometry: Geometry) -> Geometry:
+def canonical(estimator: Settings, model: SignalModel, geometry: Geometry) -> Geometry:
     """The same paths within the unambiguous delays, and in the view, or else in front, of arrays that cannot tell front
     from back.
     """
@@ -108,7 +126,7 @@ def spread_of(model: SignalModel, errors: Float) -> Float:
 
 
 def detections(
-    estimator: Nomp, data: Projector, lin: Linearization, noise_variance: float, limited: bool = False
+    estimator: Settings, data: Projector, lin: Linearization, noise_variance: float, limited: bool = False
 ) -> Detections:
     """Sorted by rho, in canonical form (and the gains solved for there)."""
     model = data.model

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dopslam import llvm
 from dopslam.cli.doctor import _writable, doctor
+from dopslam.compute import llvm
 
 
 def test_it_reports_a_machine_that_works(capsys, tmp_path):

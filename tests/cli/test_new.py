@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from dopslam import preflight
 from dopslam.config.scenario import load
-from dopslam.generators import GENERATORS, generate
+from dopslam.pipeline import preflight
+from dopslam.scenes.generators import GENERATORS, generate
 
 
 @pytest.mark.parametrize("kind", GENERATORS)

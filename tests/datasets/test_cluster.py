@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from dopslam import cluster
+from dopslam.compute import cluster
 from dopslam.config.scenario import load
 from dopslam.datasets import maker
 from dopslam.errors import DopslamError

@@ -6,11 +6,11 @@ import csv
 import numpy as np
 import pytest
 
-from dopslam import problem as build
 from dopslam.config.scenario import load
 from dopslam.datasets import drives, tracks
 from dopslam.errors import ConfigError
 from dopslam.pipeline import file as stages
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.records import DetectionSeries, Track
 from dopslam.simulate.world import draw_scans

@@ -5,8 +5,8 @@ import pytest
 
 from dopslam.config.scenario import load
 from dopslam.errors import ConfigError
-from dopslam.link import signal_model
 from dopslam.pipeline import stages
+from dopslam.pipeline.link import signal_model
 from estimation import Detections, EstimationError, ModelError, PathTable, SignalModel, comb, digital, ura
 from estimation.estimators import ESTIMATORS, estimated, find, make
 

@@ -7,9 +7,9 @@ import pytest
 
 from dopslam.config.scenario import load, override, parse
 from dopslam.errors import ConfigError
-from dopslam.generators import GENERATORS, generate, scene_xml
-from dopslam.generators.draft import Box
-from dopslam.generators.draw import turn
+from dopslam.scenes.generators import GENERATORS, generate, scene_xml
+from dopslam.scenes.generators.draft import Box
+from dopslam.scenes.generators.draw import turn
 
 SEEDS = range(12)
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam import problem as build
 from dopslam.config.scenario import load
 from dopslam.errors import FilterError
 from dopslam.models.ambiguity import unwrapped
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.pipeline import file as stages
+from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, edges_of
 from dopslam.slam.history import History

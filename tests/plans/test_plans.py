@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from dopslam.errors import ConfigError
-from dopslam.generators.draft import Mesh, Sheet
-from dopslam.generators.mitsuba import ply, shapes_xml
-from dopslam.generators.place import INDOOR, distance, hits, place, sections
-from dopslam.plans import read_plan
-from dopslam.plans.geojson import EARTH
-from dopslam.plans.raise_ import Usual
 from dopslam.raytracing.images import triangle_planes, winding_number
+from dopslam.scenes.generators.draft import Mesh, Sheet
+from dopslam.scenes.generators.mitsuba import ply, shapes_xml
+from dopslam.scenes.generators.place import INDOOR, distance, hits, place, sections
+from dopslam.scenes.plans import read_plan
+from dopslam.scenes.plans.geojson import EARTH
+from dopslam.scenes.plans.raise_ import Usual
 
 pytest.importorskip("shapely")
 

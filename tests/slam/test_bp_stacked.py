@@ -13,7 +13,8 @@ from dopslam.slam.belief.experiment import Experiment, draw
 from dopslam.slam.belief.records import PAPER, Form
 from dopslam.slam.belief.rows import kernel_agent
 from dopslam.slam.belief.stacked import clouds
-from dopslam.slam.belief.stacked.likelihood import Constants, backend
+from dopslam.slam.belief.stacked.backends import backend
+from dopslam.slam.belief.stacked.likelihood import Constants
 from dopslam.slam.belief.stacked.stacked import Stacked
 from dopslam.studies.bp_run import evaluate, run
 from dopslam.studies.bp_study import motion_of, start_box

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import dopslam as ds
-from dopslam import problem as build
 from dopslam.errors import ConfigError, FilterError
 from dopslam.filters import FILTERS
 from dopslam.models.scans import Scans
+from dopslam.pipeline import problem as build
 from dopslam.simulate.world import section_v, simulate, unknown_motion
 from dopslam.slam.filter import Capabilities, Estimate, Info, run, run_steps
 

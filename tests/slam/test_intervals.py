@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam import problem as build
 from dopslam.errors import FilterError
 from dopslam.evaluate.bounds import pcrb
 from dopslam.filters import FILTERS
 from dopslam.models.motion import paced, propagate, transition_jacobian
+from dopslam.pipeline import problem as build
 from dopslam.simulate.world import draw_scans, section_v
 from dopslam.slam.filter import Capabilities, run
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam import problem as build
 from dopslam.filters import FILTERS
+from dopslam.pipeline import problem as build
 from dopslam.simulate.world import FixedNoise, section_v, simulate
 from dopslam.slam.filter import run
 

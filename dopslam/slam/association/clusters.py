@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled, copy_vector
+from dopslam.compute.compiled import compiled, copy_vector
 from dopslam.slam.association.murty import k_best
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.errors import FilterError
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector
+from dopslam.compute.compiled import compiled, copy_matrix, copy_vector
 
 
 @compiled

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

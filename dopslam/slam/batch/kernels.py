@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.models.kernels import SR, cholesky, linearize, solve_lower, subtract
 
 ROWS = 6

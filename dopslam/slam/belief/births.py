@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.slam.belief.kernels import PS, VA, _pack, _tangents, _update, linearize
 
 _LOG_2PI = np.log(2 * np.pi)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.slam.belief.kernels import LOS, PS, VA, _tangents, linearize
 
 _LOG_2PI = np.log(2 * np.pi)

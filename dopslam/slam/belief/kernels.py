@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 
 _LOG_2PI = np.log(2 * np.pi)
 LOS, VA, PS, VA_AOD = 0, 1, 2, 3

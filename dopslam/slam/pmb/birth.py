@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.models.kernels import SP, VA, cholesky, linearize, noise_entry, solve_lower, subtract
 from dopslam.slam.pmb.density import BIRTHS, look_up
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, take
+from dopslam.compute.compiled import compiled, take
 from dopslam.errors import FilterError
 from dopslam.models.detection import (
     TABLE_START_DB,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, inlined
+from dopslam.compute.compiled import compiled, inlined
 from dopslam.models.kernels import factorize, noise_entry, solve_lower_vector, subtract
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import log_spreading, visible_share

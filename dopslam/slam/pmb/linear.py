@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import clear, compiled
+from dopslam.compute.compiled import clear, compiled
 from dopslam.models.kernels import cholesky, linearize, predict_measurement, subtract
 from dopslam.slam.pmb.density import start_of
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.errors import FilterError
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import clear, compiled, copy_matrix
+from dopslam.compute.compiled import clear, compiled, copy_matrix
 from dopslam.models.kernels import SR, VA, cholesky, linearize, noise_entry, solve_lower, subtract
 from dopslam.slam.pmb.birth import fit_landmark, starting_point
 from dopslam.slam.pmb.density import BIRTHS

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.slam.pmb.density import NO_TRACK, start_of
 
 

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector
+from dopslam.compute.compiled import compiled, copy_matrix, copy_vector
 from dopslam.slam.pmb.density import INERT, PMB, select, start_of
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector, take
+from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, take
 from dopslam.errors import FilterError
 from dopslam.models.kernels import propagate_state
 from dopslam.models.measurement import BS, SR, seen_noise

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled, copy_matrix, copy_vector, inlined
+from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.models.kernels import (
     VA,
     factorize,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled, copy_vector, take
+from dopslam.compute.compiled import compiled, copy_vector, take
 from dopslam.models.kernels import SP, linearize, noise_entry, subtract
 from dopslam.slam.pmb.birth import log_spreading
 from dopslam.slam.pmb.density import INERT, NO_TRACK, PMB, look_up, start_of

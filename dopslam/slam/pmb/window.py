@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled, copy_matrix, inlined
+from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.models.kernels import SR, cholesky, linearize, propagate_state, solve_lower, subtract
 
 CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step

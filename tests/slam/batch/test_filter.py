@@ -8,7 +8,7 @@ import pytest
 from dopslam.config.scenario import load
 from dopslam.filters import FILTERS
 from dopslam.pipeline import file as stages
-from dopslam.problem import problem
+from dopslam.pipeline.problem import problem
 from dopslam.records import Track, same
 from dopslam.slam.filter import run, run_steps
 from dopslam.store import file as dataset

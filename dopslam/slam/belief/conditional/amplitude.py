@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.models.amplitude import AmplitudeModel, ConstantDetection, _missed_table
 from dopslam.models.detection import TABLE_SIZE, TABLE_START_DB, TABLE_STEP_DB, SnrDetection, detection_table
 from dopslam.slam.belief.kernels import LOS, PS

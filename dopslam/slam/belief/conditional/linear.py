@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.slam.belief.kernels import LOS, PS, VA
 from dopslam.slam.belief.records import Scan
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import clear, compiled, copy_matrix, copy_vector
+from dopslam.compute.compiled import clear, compiled, copy_matrix, copy_vector
 from dopslam.models.kernels import cholesky, solve_lower
 
 

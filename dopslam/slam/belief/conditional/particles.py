@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from dopslam.compiled import compiled
+from dopslam.compute.compiled import compiled
 from dopslam.models.kernels import cholesky
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import VA

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.compiled import compiled_with
+from dopslam.compute.compiled import compiled_with
 
 _BLOCK = 512  # particles worked on at a time: their intermediate results stay in the fastest cache
 _NORMAL = np.float32(1 / np.sqrt(2 * np.pi))

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dopslam.compiled import compiled_without_lock
+from dopslam.compute.compiled import compiled_without_lock
 from dopslam.slam.belief.kernels import PS, VA, VA_AOD
 from dopslam.slam.belief.motion import BIAS, HEADING
 from dopslam.slam.belief.records import Parameters, Scan

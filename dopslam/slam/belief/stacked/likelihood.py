@@ -10,7 +10,8 @@ y, u): Gaussian in distance, in the chords of AOA and AOD (von Mises; the square
 without storing anything of size (M, N).
 
 The backends: ``numpy`` is the plain vectorized version, ``numba`` the compiled loop for small N, ``drjit``
-the parallel one (LLVM on the CPU, and the same code on a GPU), which needs a working libLLVM.
+the parallel one (LLVM on the CPU, and the same code on a GPU), which needs a working libLLVM; by their names in
+:mod:`dopslam.slam.belief.stacked.backends`.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dopslam.compiled import compiled
-from dopslam.errors import FilterError
+from dopslam.compute.compiled import compiled
 from dopslam.models.amplitude import AmplitudeModel, Radio
 from dopslam.slam.belief.records import Form, Scan
 
@@ -64,25 +64,12 @@ class Backend(Protocol):
     ) -> Array: ...
 
 
-def backend(name: str) -> Backend:
-    """Backend by name: ``numpy``, ``numba`` or ``drjit``."""
-    if name == "numpy":
-        return NumpyBackend()
-    if name == "numba":
-        return NumbaBackend()
-    if name == "drjit":
-        from dopslam.slam.belief.stacked.likelihood_drjit import DrJitBackend
-
-        return DrJitBackend()
-    raise FilterError(f"likelihood backend {name!r} is unknown; use numpy, numba or drjit")
-
-
-def _scan_columns(scan: Scan) -> Array:
+def scan_columns(scan: Scan) -> Array:
     """(M, 6) float32: distance, AOA x y, AOD x y, amplitude."""
     return np.column_stack([scan.distance, scan.aoa[:, :2], scan.aod[:, :2], scan.amplitude]).astype(np.float32)
 
 
-def _norms(form: Form, c: Constants) -> tuple[float, float]:
+def norms(form: Form, c: Constants) -> tuple[float, float]:
     """ln of the constant factor of the density without u, and the power of u in it."""
     directions = 1 if form == Form.VA else 2
     log_norm = -np.log(c.unit[: 1 + directions]).sum() - 0.5 * (2 + directions) * np.log(2 * np.pi)
@@ -118,10 +105,10 @@ class NumpyBackend:
         u2 = u * u
         v = np.float32(0.5) + np.float32(c.quarter_samples) * u2
         half = np.float32(0.5) / v
-        log_norm, power = _norms(form, c)
+        log_norm, power = norms(form, c)
         factor = np.float32(np.exp(log_norm)) * u ** np.float32(power) / np.sqrt(v * u)
         gd, ga, gt = (np.float32(0.5 / s**2) for s in c.unit)
-        for z in _scan_columns(scan):
+        for z in scan_columns(scan):
             cost = gd * (z[0] - d) ** 2 + ga * ((px - z[1]) ** 2 + (py - z[2]) ** 2)
             if form != Form.VA:
                 cost += gt * ((tx - z[3]) ** 2 + (ty - z[4]) ** 2)
@@ -156,9 +143,9 @@ class NumbaBackend:
 
     def evidence(self, form, x, y, u, agent, scan, c):
         """Mean of p_d f over the particles, (K, M)."""
-        columns = _scan_columns(scan)
+        columns = scan_columns(scan)
         nu = np.zeros((len(x), len(columns)), np.float32)
-        log_norm, power = _norms(form, c)
+        log_norm, power = norms(form, c)
         anchor, unit = c.anchor.astype(np.float32), (0.5 / c.unit**2).astype(np.float32)
         return _numba_pass(
             int(form), x, y, u, agent, columns, nu, anchor, unit, np.float32(np.exp(log_norm)), int(power),
@@ -168,10 +155,10 @@ class NumbaBackend:
     def messages(self, form, x, y, u, agent, scan, nu, c):
         """λ, (K, N) float32."""
         out = np.empty(x.shape, np.float32)
-        log_norm, power = _norms(form, c)
+        log_norm, power = norms(form, c)
         anchor, unit = c.anchor.astype(np.float32), (0.5 / c.unit**2).astype(np.float32)
         _numba_pass(
-            int(form), x, y, u, agent, _scan_columns(scan), nu.astype(np.float32), anchor, unit,
+            int(form), x, y, u, agent, scan_columns(scan), nu.astype(np.float32), anchor, unit,
             np.float32(np.exp(log_norm)), int(power), np.float32(c.quarter_samples), c.missed,
             np.float32(c.missed_step), out,
         )  # fmt: skip

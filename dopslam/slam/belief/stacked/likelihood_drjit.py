@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.llvm import prepare
+from dopslam.compute.llvm import prepare
 from dopslam.slam.belief.records import Form, Scan
-from dopslam.slam.belief.stacked.likelihood import Constants, _norms, _scan_columns
+from dopslam.slam.belief.stacked.likelihood import Constants, norms, scan_columns
 
 _PAD = 4  # measurements per kernel are padded to a multiple
 _BLOCK = 256  # particles summed in one place
@@ -85,9 +85,9 @@ class DrJitBackend:
         """Buffers of constants and of the padded measurements' columns."""
         count = max(_PAD, -(-len(scan) // _PAD) * _PAD)
         columns = np.ones((count, 6), np.float32)
-        columns[: len(scan)] = _scan_columns(scan)
+        columns[: len(scan)] = scan_columns(scan)
         columns[len(scan) :, 0] = 1e9  # padding: a distance with density 0
-        log_norm, _ = _norms(form, c)
+        log_norm, _ = norms(form, c)
         constants = [*(0.5 / c.unit**2), *c.anchor[:2], np.exp(log_norm), c.quarter_samples]
         return self._float(np.array(constants, np.float32)), [
             self._float(np.ascontiguousarray(columns[:, j])) for j in range(6)

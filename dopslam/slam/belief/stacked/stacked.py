@@ -52,7 +52,7 @@ class StackedState:
 class Stacked:
     """The filter: parameters only; ``init`` and ``step`` are pure.
 
-    parameters, motion, radio : the models; backend : of :func:`dopslam.slam.belief.stacked.likelihood.backend`
+    parameters, motion, radio : the models; backend : of :func:`dopslam.slam.belief.stacked.backends.backend`
     """
 
     parameters: Parameters

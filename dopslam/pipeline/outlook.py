@@ -2,7 +2,7 @@
 way of them.
 
 All of it is told with a remedy, and none ends a run, but that no path is seen at all; what else would is found by
-:mod:`dopslam.preflight`.
+:mod:`dopslam.pipeline.preflight`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dopslam import link
 from dopslam.config.arrays import PlanarArray
 from dopslam.config.scenario import Scenario
 from dopslam.models.detection import probability_from_snr
-from dopslam.preflight import Finding
+from dopslam.pipeline import link
+from dopslam.pipeline.preflight import Finding
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths, Track
 from estimation import SignalModel, snr
 from estimation.ambiguity import LIMIT, ambiguity

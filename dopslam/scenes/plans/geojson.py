@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.plans.raise_ import Feature
+from dopslam.scenes.plans.raise_ import Feature
 
 DEGREES = 0.2
 EARTH = 6_378_137.0  # m, equatorial radius of WGS 84

@@ -4,6 +4,6 @@ A reader takes a file and options and returns shapes; :data:`READERS` finds it b
 drawn from above and raised to heights; models are taken as they are.
 """
 
-from dopslam.plans.read import READERS, read_plan
+from dopslam.scenes.plans.read import READERS, read_plan
 
 __all__ = ["READERS", "read_plan"]

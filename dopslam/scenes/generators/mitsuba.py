@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam.generators.draft import Box, Generated, Mesh, Sheet
+from dopslam.scenes.generators.draft import Box, Generated, Mesh, Sheet
 
 THICKNESS = {"glass": 0.01, "metal": 0.01, "wood": 0.03, "plasterboard": 0.05, "ceiling_board": 0.02}  # m; others 0.2
 FOLDER = "meshes"

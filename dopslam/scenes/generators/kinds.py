@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.generators import corridor, hall, plaza, room, street
-from dopslam.generators.draft import Generated
-from dopslam.generators.draw import NoRoom
+from dopslam.scenes.generators import corridor, hall, plaza, room, street
+from dopslam.scenes.generators.draft import Generated
+from dopslam.scenes.generators.draw import NoRoom
 
 GENERATORS: dict[str, tuple[Callable[..., Generated], dict]] = {
     "street": (street.street, street.OPTIONS),

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam import preflight
 from dopslam.config.scenario import load
 from dopslam.errors import ConfigError, SceneError
-from dopslam.generators import GENERATORS, generate
-from dopslam.generators.mitsuba import write_shapes
-from dopslam.generators.place import INDOOR, OUTDOOR, Placed, place
-from dopslam.plans import read_plan
-from dopslam.plans.raise_ import INDOOR as INDOOR_EXTENT
-from dopslam.plans.raise_ import Usual
+from dopslam.pipeline import preflight
+from dopslam.scenes.generators import GENERATORS, generate
+from dopslam.scenes.generators.mitsuba import write_shapes
+from dopslam.scenes.generators.place import INDOOR, OUTDOOR, Placed, place
+from dopslam.scenes.plans import read_plan
+from dopslam.scenes.plans.raise_ import INDOOR as INDOOR_EXTENT
+from dopslam.scenes.plans.raise_ import Usual
 
 LAYOUTS = 5  # random places tried before a scene counts as having none
 

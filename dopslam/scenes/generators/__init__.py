@@ -3,8 +3,8 @@
 ``[scene] generator = "street"`` with a ``seed`` fills whatever a scenario does not say itself: see :mod:`.fill`.
 """
 
-from dopslam.generators.draft import Generated
-from dopslam.generators.kinds import GENERATORS, generate
-from dopslam.generators.mitsuba import scene_xml
+from dopslam.scenes.generators.draft import Generated
+from dopslam.scenes.generators.kinds import GENERATORS, generate
+from dopslam.scenes.generators.mitsuba import scene_xml
 
 __all__ = ["GENERATORS", "Generated", "generate", "scene_xml"]

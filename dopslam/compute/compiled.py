@@ -10,7 +10,7 @@ import numpy as np
 
 from estimation.jit import cached
 
-_ROOT = Path(__file__).resolve().parent
+_ROOT = Path(__file__).resolve().parents[1]
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam.generators.draft import Box, free
+from dopslam.scenes.generators.draft import Box, free
 
 Range = tuple[float, float]
 HIGHEST_GHZ = {"brick": 40.0, "plywood": 40.0, "marble": 60.0}  # ITU-R P.2040; the other materials used here: 100

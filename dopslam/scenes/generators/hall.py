@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.generators.draft import Generated
-from dopslam.generators.indoor import Style, indoor
+from dopslam.scenes.generators.draft import Generated
+from dopslam.scenes.generators.indoor import Style, indoor
 
 OPTIONS = {
     "length": (24.0, 55.0),  # m

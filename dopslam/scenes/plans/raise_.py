@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.generators.draft import Box, Mesh, Sheet
+from dopslam.scenes.generators.draft import Box, Mesh, Sheet
 
 LOWEST, SHORTEST = 0.01, 0.02  # m; edges shorter than this are slips of the drawing
 GROUND_BEYOND = 60.0  # m, of the ground around what is drawn

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.plans.geojson import in_meters
-from dopslam.plans.raise_ import Feature
+from dopslam.scenes.plans.geojson import in_meters
+from dopslam.scenes.plans.raise_ import Feature
 
 LEVEL = 3.0  # m
 MATERIALS = {

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam.generators import draw
-from dopslam.generators.draft import Box, Generated, free, walls
+from dopslam.scenes.generators import draw
+from dopslam.scenes.generators.draft import Box, Generated, free, walls
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.plans.raise_ import Feature, extra
+from dopslam.scenes.plans.raise_ import Feature, extra
 
 DARK = 0.5  # of white
 LARGEST = 16_000_000  # pixels

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dopslam.generators import draw
-from dopslam.generators.draft import Box, Generated, Sheet, free
+from dopslam.scenes.generators import draw
+from dopslam.scenes.generators.draft import Box, Generated, Sheet, free
 
 OPTIONS = {
     "radius": (28.0, 48.0),  # m, of the open space

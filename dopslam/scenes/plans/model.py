@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.generators.draft import Mesh
-from dopslam.plans.raise_ import extra
+from dopslam.scenes.generators.draft import Mesh
+from dopslam.scenes.plans.raise_ import extra
 
 Y_UP = {".glb", ".gltf"}  # by their specification
 ITU = ("concrete", "brick", "plasterboard", "wood", "glass", "ceiling_board", "chipboard", "plywood", "marble", "metal")

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dopslam.errors import ConfigError
-from dopslam.generators.draft import Box, Mesh, Sheet
-from dopslam.plans.geojson import read_geojson
-from dopslam.plans.model import read_model
-from dopslam.plans.osm import read_osm
-from dopslam.plans.picture import read_picture
-from dopslam.plans.raise_ import Usual, shapes_of
+from dopslam.scenes.generators.draft import Box, Mesh, Sheet
+from dopslam.scenes.plans.geojson import read_geojson
+from dopslam.scenes.plans.model import read_model
+from dopslam.scenes.plans.osm import read_osm
+from dopslam.scenes.plans.picture import read_picture
+from dopslam.scenes.plans.raise_ import Usual, shapes_of
 
 Shapes = list[Box | Sheet | Mesh]
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dopslam import link as radio
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DopslamError, SceneError
-from dopslam.generators import generate, scene_xml
+from dopslam.pipeline import link as radio
+from dopslam.scenes.generators import generate, scene_xml
 from estimation.errors import EstimationError
 
 if TYPE_CHECKING:
