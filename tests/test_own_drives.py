@@ -104,3 +104,26 @@ def test_a_scenario_names_its_file_and_what_is_said_is_kept(tmp_path):
         load(tmp_path, ['track.file="none.csv"'])
     with pytest.raises(ConfigError, match="either file or waypoints"):
         load(tmp_path, ["track.waypoints=[[0,0,0],[1,1,1]]"])
+
+
+def test_a_drive_of_ones_own_in_a_generated_scene_is_not_taken_for_the_generators():
+    own = parse(
+        '[scene]\ngenerator = "street"\nseed = 3\n', ["track.waypoints=[[0, 0, 0], [9, 0, 3], [9, 0, 5], [20, 0, 9]]"]
+    )
+    assert own.filter.motion == "unknown" and own.track.start[:2] == (0, 0) and own.track.steps == 45
+    slow = parse('[scene]\ngenerator = "street"\nseed = 3\n', ["track.waypoints=[[0, 0], [9, 0]]"])
+    assert slow.filter.motion == "unknown" and slow.track.speed > 0
+
+
+@pytest.mark.parametrize("left_over", ["speed = 6.9", "start = [-28, -2.5, 0, 0]", "steps = 56", "turn_rate = 0.5"])
+def test_keys_that_a_template_leaves_beside_waypoints_are_refused(left_over):
+    key = left_over.split(" ")[0]
+    track = f"[track]\n{left_over}\nwaypoints = [[0, 0, 0], [9, 0, 3], [9, 0, 5], [20, 0, 9]]"
+    with pytest.raises(ConfigError, match=f"{key} = .*leave these keys out"):
+        parse(f'scene.generator = "street"\n{track}')
+
+
+def test_the_start_of_a_drive_may_be_off_by_what_is_known_of_it_and_says_the_clock_bias():
+    text = 'scene.generator = "street"\n[track]\nwaypoints = [[0, 0, 0], [9, 0, 3], [20, 0, 9]]\nstart = [0.4, -0.3, 0.01, 55]\n'
+    assert parse(text).track.start == (0.4, -0.3, 0.01, 55)
+    assert override(parse(text), ["trace.max_depth=1"]).track.start == (0.4, -0.3, 0.01, 55)

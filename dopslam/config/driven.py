@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,8 @@ KNOWN = {
     "speed",
     "steps",
     "period",
-}  # what a stored scenario says, so that the file need not be there any more
+}  # what a stored scenario says, so that its file need not be there any more
+FAR = 6.0  # standard deviations of the start's knowledge
 
 
 def driven(tree: dict, folder: Path | None) -> tuple[dict, Drive | None]:
@@ -27,30 +29,60 @@ def driven(tree: dict, folder: Path | None) -> tuple[dict, Drive | None]:
     Raises
     ------
     ConfigError
-        If the track file or the waypoints are no good.
+        If the track file or the waypoints are no good, or other keys of ``[track]`` say another drive.
     """
     track = tree.get("track")
-    if not isinstance(track, dict) or not (track.get("file") or track.get("waypoints")) or set(track) >= KNOWN:
+    if not isinstance(track, dict) or not (track.get("file") or track.get("waypoints")):
+        return tree, None
+    if track.get("file") and set(track) >= KNOWN and (folder is None or not _path(track["file"], folder).exists()):
         return tree, None
     receiver = tree.get("receiver")
     height = receiver.get("height") if isinstance(receiver, dict) else None
     try:
         drive = _drive(track, 0.0 if height is None else float(height), folder)
-    except (TypeError, ValueError):  # not even numbers: the validation names them
+        made = _said(drive)
+        contradictions = _contradictions(track, made)
+    except (TypeError, ValueError, IndexError):  # not even numbers: the validation names them
         return tree, None
+    if contradictions:
+        given = ", ".join(f"{key} = {track[key]}" for key in contradictions)
+        instead = ", ".join(f"{key} = {made[key]}" for key in contradictions)
+        source = "file" if track.get("file") else "waypoints"
+        raise ConfigError(
+            f"track: {given} is another drive than that of track.{source}, which says {instead}; leave these keys out, they "
+            "follow from it"
+        )
+    return under(tree, {"track": made, "receiver": {"height": round(float(drive.position[:, 2].mean()), 3)}}), drive
+
+
+def _said(drive: Drive) -> dict:
+    """Keys of ``[track]`` that a drive says."""
     first = [*drive.position[0, :2], drive.heading[0], 0.0 if drive.bias is None else drive.bias[0]]
     turned = (drive.heading[1] - drive.heading[0]) / drive.period
-    made = {
-        "track": {
-            "start": [round(float(value), 6) for value in first],
-            "speed": round(float(abs(drive.speed[0])), 6),
-            "turn_rate": round(float(turned), 6) if abs(turned) < 1.0 else 0.0,
-            "period": drive.period,
-            "steps": len(drive.position) - 1,
-        },
-        "receiver": {"height": round(float(drive.position[:, 2].mean()), 3)},
+    return {
+        "start": [round(float(value), 6) for value in first],
+        "speed": round(float(abs(drive.speed[0])), 6),
+        "turn_rate": round(float(turned), 6) if abs(turned) < 1.0 else 0.0,
+        "period": drive.period,
+        "steps": len(drive.position) - 1,
     }
-    return under(tree, made), drive
+
+
+def _contradictions(track: dict, made: dict) -> list[str]:
+    """Keys of ``[track]`` that say another drive than its file or waypoints: left over from a template, as a rule.
+
+    The start may be off by what is known of it, and its clock bias is nowhere else to be said.
+    """
+    off = []
+    if "start" in track and track["start"] != "snapshot":
+        known = [float(v) for v in track.get("start_std", (0.3, 0.3, 0.0052, 0.3))]
+        away = [float(a) - b for a, b in zip(track["start"], made["start"], strict=True)]
+        away[2] = math.remainder(away[2], 2 * math.pi)
+        if any(abs(away[i]) > FAR * known[i] + 1e-5 for i in (0, 1, 2)):
+            off.append("start")
+    timed = bool(track.get("file")) or len(track["waypoints"][0]) == 3
+    slack = {"speed": 0.05 * made["speed"] + 0.05 if timed else math.inf, "turn_rate": 0.1, "steps": 0.0}
+    return off + [key for key, most in slack.items() if key in track and abs(float(track[key]) - made[key]) > most]
 
 
 def drive_of(scenario: Sections, folder: Path | None) -> Drive:
@@ -66,6 +98,9 @@ def _drive(track: dict, height: float, folder: Path | None) -> Drive:
         raise ConfigError("track: give either file or waypoints")
     if not file:
         return from_waypoints(points, float(track.get("speed") or 0.0), height, float(track.get("period") or PERIOD))
+    return from_file(_path(file, folder), height, float(track["period"]) if track.get("period") else None)
+
+
+def _path(file: object, folder: Path | None) -> Path:
     path = Path(str(file))
-    path = path if path.is_absolute() or folder is None else folder / path
-    return from_file(path, height, float(track["period"]) if track.get("period") else None)
+    return path if path.is_absolute() or folder is None else folder / path

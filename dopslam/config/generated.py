@@ -23,8 +23,18 @@ def filled(tree: dict) -> dict:
     kind, seed = scene["generator"], scene.get("seed", 0)
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"scene.seed = {seed!r}: give a whole number from 0")
-    made = generated(kind, seed, scene.get("options"), tree).keys
+    made = dict(generated(kind, seed, scene.get("options"), tree).keys)
+    track = tree.get("track")
+    if isinstance(track, dict) and (track.get("file") or track.get("waypoints")):
+        # A drive of one's own says the rest itself; through places without times it keeps the kind's speed.
+        kept = ("period",) if _timed(track) else ("speed", "period")
+        made["track"] = {key: made["track"][key] for key in kept}
     return under(tree, {"name": f"{kind}_{seed}", **made})
+
+
+def _timed(track: dict) -> bool:
+    points = track.get("waypoints")
+    return not (isinstance(points, list) and points and isinstance(points[0], list) and len(points[0]) == 2)
 
 
 def generated(kind: str, seed: int, options: Any, tree: dict):
