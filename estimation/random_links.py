@@ -101,13 +101,13 @@ def random_paths(model: SignalModel, rng: np.random.Generator, decibels=(18.0, 4
     return at_snr(model, unit, 10 ** (rng.uniform(*decibels, count) / 10))
 
 
-def right_model(links: int, snapshots: int, seed: int = 1000, calibration: int = 24) -> list[dict]:
+def right_model(links: int, snapshots: int, seed: int = 1000) -> list[dict]:
     """Figures of ``links`` random links, ``snapshots`` bursts each, estimated with their own model."""
     rows = []
     for number in range(links):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
         model = random_link(rng)
-        estimator = Nomp(model, max_speed=SEARCHED, calibration=calibration)
+        estimator = Nomp(model, max_speed=SEARCHED)
         matches = []
         for _ in range(snapshots):
             paths = random_paths(model, rng)
@@ -141,7 +141,7 @@ def wrong_model(snapshots: int, seed: int = 1000) -> dict[str, dict]:
         for number in range(snapshots):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
             model = random_link(rng)
-            estimator = Nomp(model, max_speed=SEARCHED, calibration=0, threshold=27.0)
+            estimator = Nomp(model, max_speed=SEARCHED, threshold=27.0)
             paths = random_paths(model, rng)
             lead = at_snr(model, paths.take([0]), [1e5])
             paths = replace(paths, gain=np.r_[lead.gain, paths.gain[1:]])

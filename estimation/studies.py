@@ -149,7 +149,7 @@ def swept(snapshots: int, seed: int = 22) -> dict:
 def false_alarms(rates, snapshots: int, seed: int = 31) -> list[dict]:
     """Noise alone on the reference link: nominal against measured false paths per snapshot."""
     model = reference_link()
-    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=48)
+    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
     suprema = estimator.suprema(snapshots, seed)
     from .estimators.detect import threshold_for
 
@@ -185,7 +185,7 @@ def speed(
     rate = 8 * 512**3 / min(_timed(lambda: square @ square) for _ in range(9))
     for size in sizes:
         model = reference_link(*size)
-        estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=0)
+        estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
         draw = Draw(delays=(20e-9, 140e-9))
         cases = [lambda rng, m=model, d=draw: (draw_paths(m, rng, d), 100.0 * np.prod(m.shape) / 2**20)] * bursts
         cold, warm = (

@@ -22,7 +22,7 @@ from ..signal.noise import white_noise
 from ..signal.paths import Geometry, PathTable
 from . import report
 from .beyond import beyond
-from .detect import calibrated_volume, search_volume, threshold_for
+from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .floor import LARGEST, Floor
 from .grids import EVERYWHERE, View, directions_in
@@ -52,8 +52,8 @@ class Nomp:
     max_seconds : the same for the time spent on a burst; what is found by then is reported
     model_error_db : energy relative to a path that errors of its model are taken to have in any one mode; whatever is given,
         the error is also measured on every burst (:mod:`~.floor`)
-    calibration : noise-only searches that measure the effective search volume when the estimator is made; 0
-        trusts Rice's formula
+    calibration : noise-only searches that measure the effective search volume when the estimator is made; 0 takes the share
+        of Rice's volume that searches find as a rule (:data:`~.detect.SHARE`) and no time
     threshold : fixed threshold on rho instead of a false-alarm rate
     dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it (the reported noise
         variance is then relative to that profile, that is 1)
@@ -72,7 +72,7 @@ class Nomp:
     max_paths: int = 40
     max_seconds: float | None = None
     model_error_db: float | None = None
-    calibration: int = 24
+    calibration: int = 0
     threshold: float | None = None
     dense_multipath: bool = False
     resolve: bool = True
@@ -110,10 +110,11 @@ class Nomp:
             (arrival_angle, departure_angle),
         )
         object.__setattr__(self, "volume", volume)
-        if self.calibration and self.threshold is None:
-            object.__setattr__(
-                self, "volume", calibrated_volume(self.suprema(self.calibration), volume, self.parameters)
-            )
+        if self.threshold is None:
+            searched = SHARE * volume
+            if self.calibration:
+                searched = calibrated_volume(self.suprema(self.calibration), volume, self.parameters)
+            object.__setattr__(self, "volume", searched)
         if self.threshold is None:
             object.__setattr__(self, "threshold", threshold_for(self.false_alarm_rate, self.volume, self.parameters))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimation import snr
+from estimation import Nomp, snr
 from estimation.random_links import LARGEST, SEARCHED, random_link, random_paths, right_model, wrong_model
 
 
@@ -31,9 +31,20 @@ def test_the_same_seed_draws_the_same_link():
     assert first.shape == second.shape and np.array_equal(first.schedule.times, second.schedule.times)
 
 
+def test_the_threshold_needs_no_noise_of_the_link():
+    """Rice's volume times a fixed share: false paths in noise at the nominal rate, on links it was not measured on."""
+    above, links = 0, 4
+    for number in range(links):
+        model = random_link(np.random.default_rng(np.random.SeedSequence(1000, spawn_key=(number,))))
+        nomp = Nomp(model, max_speed=SEARCHED, false_alarm_rate=0.1)
+        above += np.sum(nomp.suprema(50, seed=4) > nomp.level)
+    # Nominal 20; a threshold off by one would give 8 or 54.
+    assert 9 <= above <= 36
+
+
 @pytest.mark.mc
 def test_random_links_are_estimated_at_their_bounds():
-    for row in right_model(4, 12, seed=2000, calibration=8):
+    for row in right_model(4, 12, seed=2000):
         assert row["found"] > 0.97 and row["false_per_snapshot"] <= 0.2
         assert row["nees_interval"][0] < 1.1 and row["nees_interval"][1] > 0.9
 

@@ -33,7 +33,7 @@ def link() -> SignalModel:
 @pytest.fixture(scope="module")
 def estimator(link) -> Nomp:
     """Calibrated once."""
-    return Nomp(link, calibration=8)
+    return Nomp(link)
 
 
 def some_paths(link, rho_db, rng) -> PathTable:
@@ -97,7 +97,7 @@ def test_bad_input_is_refused(link, estimator):
     with pytest.raises(ModelError, match="unambiguous"):
         Nomp(link, max_delay=1.0)
     with pytest.raises(ModelError, match="false_alarm_rate"):
-        Nomp(link, false_alarm_rate=-1, calibration=0)
+        Nomp(link, false_alarm_rate=-1)
     with pytest.raises(ModelError, match="max_speed"):
         Nomp(link, max_speed=np.nan)
     with pytest.raises(ModelError, match="no direction"):
@@ -105,5 +105,5 @@ def test_bad_input_is_refused(link, estimator):
 
 
 def test_false_alarm_rate_moves_the_threshold(link):
-    strict, loose = (Nomp(link, false_alarm_rate=rate, calibration=0).threshold for rate in (0.001, 0.1))
-    assert strict - loose == pytest.approx(np.log(100), abs=0.6)
+    strict, loose = (Nomp(link, false_alarm_rate=rate).threshold for rate in (0.001, 0.1))
+    assert strict - loose == pytest.approx(np.log(100), abs=0.7)

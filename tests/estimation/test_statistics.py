@@ -18,7 +18,7 @@ pytestmark = pytest.mark.mc
 def runs():
     """Sixty bursts of five paths with rho uniform over 12 to 45 dB on a sixteenth of the reference link."""
     model = SignalModel(comb(28e9, 6.25e6, 64), digital(16, 125e-6), ura(2, 4), ura(2, 4))
-    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT, calibration=24)
+    estimator = Nomp(model, arrival_view=FRONT, departure_view=FRONT)
     draw = Draw(paths=5, separation=1.2)
     cases = [lambda rng: (at_snr(model, draw_paths(model, rng, draw), 10 ** rng.uniform(1.2, 4.5, 5)), 1.0)] * 60
     return run_series(estimator, model, cases, seed=3)
@@ -47,7 +47,7 @@ def test_detection_follows_the_law_and_false_paths_the_nominal_rate(runs):
 
 def test_swept_link_at_the_bound():
     model = swept_link()
-    estimator = Nomp(model, calibration=8)
+    estimator = Nomp(model)
 
     def case(rng):
         from estimation import PathTable
