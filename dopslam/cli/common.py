@@ -114,8 +114,16 @@ def progress_display() -> Iterator[Progress]:
 REMEDY = 'check start, motion and covariances; --set filter.start="snapshot" starts from the detections alone'
 
 
+def restarted_text(variant: str, why: str) -> str:
+    """That a filter lost its receiver and was started anew."""
+    return f"restarted: {variant}: {why}; started anew from the scans (filter.restart)"
+
+
 def leave_if_lost(summary: dict, console) -> None:
-    """Name every filter that diverged; leave with 3 if the leading one did."""
+    """Name every filter that was started anew or diverged; leave with 3 if the leading one did diverge."""
+    for name, figures in summary["variants"].items():
+        if figures.get("restarted"):
+            console.print(restarted_text(name, figures["restarted"]))
     lost = [name for name, figures in summary["variants"].items() if figures.get("diverged")]
     if lost:
         console.print(f"diverged: {', '.join(lost)}; do not use these tracks ({REMEDY})")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from dopslam.cli.common import REMEDY, Filters, Settings, doppler_choice, filter_names, overrides
+from dopslam.cli.common import REMEDY, Filters, Settings, doppler_choice, filter_names, overrides, restarted_text
 
 
 def slam(
@@ -38,12 +38,14 @@ def slam(
     from dopslam.pipeline import file as stages
 
     used, _ = doppler_choice(doppler_std)
-    lost = {}
+    lost, console = {}, Console(markup=False, soft_wrap=True)
     for name in filter_names(filters) or [None]:
         variant = stages.slam(dataset, overrides(settings), name, used)
-        lost[variant] = stages.why_lost(dataset, variant)
+        lost[variant], restarted = stages.mishaps(dataset, variant)
+        if restarted:
+            console.print(restarted_text(variant, restarted))
     for variant, why in lost.items():
         if why:
-            Console(markup=False, soft_wrap=True).print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})")
+            console.print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})")
     if next(iter(lost.values())):
         sys.exit(3)

@@ -176,6 +176,7 @@ class Filter(Frozen):
     density: str = "joint"  # a name of dopslam.filters.FILTERS, or an own "module:Class" or "file.py:Class"
     options: dict[str, Any] = Field(default_factory=dict)  # of a filter of one's own
     start: Literal["prior", "snapshot"] = "prior"  # snapshot: found from the scans alone, track.start is not told
+    restart: bool = True  # a filter that has lost its receiver, by its own history, is started anew from the scans
     particles: Count = 1000  # of belief propagation
     associations: Few = 10  # γ best data associations per step
     iterations: Few = 3  # of the update; 1 is the plain EKF

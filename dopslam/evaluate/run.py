@@ -33,6 +33,7 @@ class Evaluation:
     gospa_va, gospa_sp : (K,) m
     found : (L,) m, distance of every true landmark to its estimate at the last step, inf if there is none
     lost : why the filter's own history counts as lost, without the truth; empty if it does not
+    restarted : from which steps the filter was started anew, and why; empty if it was not
     """
 
     position_error: np.ndarray
@@ -46,6 +47,7 @@ class Evaluation:
     gospa_sp: np.ndarray
     found: np.ndarray
     lost: str = ""
+    restarted: str = ""
 
     @property
     def diverged(self) -> bool:
@@ -163,6 +165,7 @@ def evaluate_run(
         gospa_sp=gospa(Kind.SP),
         found=landmark_errors(landmarks, history, threshold, largest_order),
         lost=history.lost,
+        restarted=history.restarted,
     )
 
 
@@ -181,6 +184,7 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
     return {
         "diverged": evaluation.diverged,
         **({"lost": evaluation.lost} if evaluation.lost else {}),
+        **({"restarted": evaluation.restarted} if evaluation.restarted else {}),
         "position_rmse_m": _rms(evaluation.position_error),
         "heading_rmse_deg": float(np.degrees(_rms(evaluation.heading_error))),
         "clock_bias_rmse_m": _rms(evaluation.bias_error),

@@ -148,7 +148,7 @@ def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> Detec
 
 
 def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool = True) -> str:
-    """Add the history of one filter variant; returns its name (:func:`why_lost` says whether it can be trusted)."""
+    """Add the history of one filter variant; returns its name (:func:`mishaps` says whether it can be trusted)."""
     scenario, seed = scenario_of(path, settings, "slam", (filter_name,) if filter_name else ())
     refuse_unwritable(path)
     detections = blurred(scenario, read_detections(path), seed)
@@ -171,9 +171,11 @@ def histories(path: Path) -> dict[str, History]:
     return {name: dataset.read_record(path, names[name], History) for name in order}
 
 
-def why_lost(path: Path, variant: str) -> str:
-    """Why a filter variant's receiver counts as lost by its own history; empty if it does not."""
-    return dataset.read_record(path, _group("slam", variant), History).lost
+def mishaps(path: Path, variant: str) -> tuple[str, str]:
+    """Why a filter variant's receiver counts as lost by its own history, and from which steps it was started anew, each
+    empty if that is not so."""
+    history = dataset.read_record(path, _group("slam", variant), History)
+    return history.lost, history.restarted
 
 
 def bound(path: Path, settings=(), doppler: bool = True) -> None:

@@ -92,7 +92,12 @@ def _lead(summary: Mapping) -> str:
     body = "".join(f'<p class="lead">{escape(s)}</p>' for s in sentences)
     lost = [n for n, figures in summary["variants"].items() if figures.get("diverged")]
     alarm = f'<p class="lead alarm">Diverged: {escape(", ".join(lost))}. Do not use this track.</p>' if lost else ""
-    return f"<section><h2>What came out</h2>{alarm}{body}</section>"
+    anew = "".join(
+        f'<p class="lead">{escape(f"{name} lost the receiver and was started anew {why}.")}</p>'
+        for name, why in ((n, figures.get("restarted")) for n, figures in summary["variants"].items())
+        if why
+    )
+    return f"<section><h2>What came out</h2>{alarm}{body}{anew}</section>"
 
 
 def _replay_section() -> str:

@@ -71,11 +71,11 @@ def steps_csv(time: np.ndarray, evaluations: Mapping[str, Evaluation]) -> str:
 
 
 def _shown(variants: dict) -> list:
-    """The rows that say something: without a lost filter none is about it."""
+    """The rows that say something: without a lost filter none is about it, nor one about restarts without any."""
 
     def says(label: str) -> bool:
-        if label == "diverged":
-            return any(v.get("diverged") for v in variants.values())
+        if label in ("diverged", "restarted"):
+            return any(v.get(label) for v in variants.values())
         return not label.startswith("walls") or any(v.get("walls_total") for v in variants.values())
 
     return [row for row in _ROWS if says(row[0])]
@@ -91,6 +91,7 @@ def _root_mean_square(key: str, digits: int):
 
 _ROWS = (
     ("diverged", lambda v: "YES" if v.get("diverged") else ""),
+    ("restarted", lambda v: "yes" if v.get("restarted") else ""),
     ("position RMSE, m", _with_ratio("position_rmse_m", "position")),
     ("heading RMSE, °", _with_ratio("heading_rmse_deg", "heading")),
     ("clock bias RMSE, m", _with_ratio("clock_bias_rmse_m", "clock")),

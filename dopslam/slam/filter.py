@@ -26,6 +26,7 @@ from dopslam.models.detection import DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
+from dopslam.slam import restart
 from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
 from dopslam.slam.snapshot import start as snapshot
 
@@ -47,6 +48,7 @@ class Problem:
     survival : p_S of a landmark per step
     doppler_limit : m/s; largest radial velocity that detections can have, the width of clutter in Doppler
     snapshot : whether the start is found from the scans alone, and mean and covariance are withheld
+    restart : whether a filter that has lost its receiver, by its own history, is started anew from the scans
     """
 
     stations: BaseStations
@@ -60,6 +62,7 @@ class Problem:
     survival: float = 1.0
     doppler_limit: float = 25.0
     snapshot: bool = False
+    restart: bool = False
 
     def __post_init__(self) -> None:
         n = self.motion.dimension
@@ -184,18 +187,27 @@ def run(
     """
     scans = detections if isinstance(detections, Scans) else problem.scans(detections)
     check(chosen, problem, scans)
-    if not chosen.capabilities.whole_run:
-        problem = started(problem, scans, uses_doppler(chosen))
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
-    whole = getattr(chosen, "run", None)
-    return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
+    doppler, reads_all = uses_doppler(chosen), chosen.capabilities.whole_run
+
+    def go(problem: Problem, scans: Scans) -> tuple[History, Diagnostics]:
+        if not reads_all:
+            problem = started(problem, scans, doppler)
+        rng = np.random.default_rng(np.random.SeedSequence(seed))
+        whole = getattr(chosen, "run", None)
+        return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
+
+    # A start from the scans alone needs a constant period.
+    if not problem.restart or scans.interval is not None:
+        return go(problem, scans)
+    return restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
 
 
 def started(problem: Problem, scans: Scans, doppler: bool) -> Problem:
     """The problem with the start that the scans alone tell, where it asks for that."""
     if not problem.snapshot:
         return problem
-    found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, doppler=doppler)
+    known = (problem.mean, problem.covariance)
+    found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, prior=known, doppler=doppler)
     return replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
 
 

@@ -103,8 +103,27 @@ def _distances(
     return np.einsum("mli,mli->ml", off, np.linalg.solve(total, off[..., None])[..., 0]), angles
 
 
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a history and its measurements say of the receiver.
+
+    Attributes
+    ----------
+    reason : why it counts as lost, in a clause; empty if nothing speaks for it
+    since : step from which it is; 0 where nothing does
+    """
+
+    reason: str = ""
+    since: int = 0
+
+
 def divergence(history: History, scans: Scans, station: Array, height: float) -> str:
-    """Why the receiver counts as lost, in a clause; empty if nothing speaks for it.
+    """Why the receiver counts as lost, in a clause; empty if nothing speaks for it. As :func:`judge`."""
+    return judge(history, scans, station, height).reason
+
+
+def judge(history: History, scans: Scans, station: Array, height: float) -> Verdict:
+    """Whether, why and since when the receiver counts as lost.
 
     Parameters
     ----------
@@ -115,17 +134,26 @@ def divergence(history: History, scans: Scans, station: Array, height: float) ->
     """
     finite = np.isfinite(history.mean).all(axis=1) & np.isfinite(history.covariance).all(axis=(1, 2))
     if not finite.all():
-        return f"its state is no number from step {int(np.argmin(finite))} on"
+        broken = int(np.argmin(finite))
+        return Verdict(f"its state is no number from step {broken} on", broken)
     seen = explained(history, scans, np.asarray(station, float), height)
     steps = np.flatnonzero(seen.measured > 0)
     last = steps[-2 * FEWEST :]
     if seen.explained[last].sum() >= FEWEST:
         spread = seen.distance[last].sum() / (ROWS * seen.explained[last].sum())
         if spread > FAR:
-            return f"what it still explains is {spread:.1f} times as far off as it claims (1 is expected)"
+            return Verdict(
+                f"what it still explains is {spread:.1f} times as far off as it claims (1 is expected)",
+                _far_since(seen, steps),
+            )
     lost = _longest_blind(seen, steps)
     if len(lost) < FEWEST or not (lost[-1] == steps[-1] or 2 * len(lost) >= len(steps)):
-        return ""
+        return Verdict()
+    return Verdict(why, int(lost[0])) if (why := _why_blind(seen, steps, lost, scans)) else Verdict()
+
+
+def _why_blind(seen: Explained, steps: NDArray[np.int64], lost: NDArray[np.int64], scans: Scans) -> str:
+    """What shows that these steps are not merely without a line of sight; empty if nothing does."""
     where = f"from step {lost[0]} to {lost[-1]} the base station is never where it should be"
     if not seen.explained[lost].any() and seen.measured[lost].sum() > 2 * len(lost) * scans.clutter_count:
         return f"{where}, nor is anything of the map"
@@ -143,6 +171,13 @@ def divergence(history: History, scans: Scans, station: Array, height: float) ->
     if squared > rows + DEVIATIONS * np.sqrt(2 * rows):  # a chi-square sum of as many degrees of freedom
         return f"{where}, and what is explained is {squared / rows:.1f} times as far off as it claims (1 is expected)"
     return ""
+
+
+def _far_since(seen: Explained, steps: NDArray[np.int64]) -> int:
+    """The step from which what is explained has been too far off until the end."""
+    rows, squared = ROWS * seen.explained[steps][::-1].cumsum(), seen.distance[steps][::-1].cumsum()
+    far = np.flatnonzero(squared > FAR * np.maximum(rows, 1))
+    return int(steps[len(steps) - 1 - far[-1]]) if len(far) else int(steps[0])
 
 
 def _longest_blind(seen: Explained, steps: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -59,6 +59,7 @@ class History(Ragged):
     kind : (N,) int array; the likelier type, a number of Kind
     track : (N,) int array; number of the measurement that bore the track
     lost : why the receiver counts as lost, told without the truth (:mod:`dopslam.slam.health`); empty if it does not
+    restarted : from which steps the filter was started anew, and why (:mod:`dopslam.slam.restart`); empty if it was not
     """
 
     OFFSETS: ClassVar[str] = "map_offsets"
@@ -74,6 +75,7 @@ class History(Ragged):
     kind: NDArray[np.int64]
     track: NDArray[np.int64]
     lost: str = ""
+    restarted: str = ""
 
     def __post_init__(self) -> None:
         check_offsets("History", self.map_offsets, len(self.position))

@@ -336,3 +336,13 @@ def test_a_hidden_feature_is_not_given_up_at_once():
         existence[hide] = state.map.weight[near].sum()
     assert existence[0.02] > 0.5
     assert existence[0.0] < 0.1
+
+
+def test_weights_are_flattened_only_as_far_as_particles_are_needed():
+    rng = np.random.default_rng(1)
+    mild, sharp = rng.normal(0, 0.5, 400), rng.normal(0, 300.0, 400)
+    assert np.allclose(particles.tempered(mild, 20), oracle.normalized(mild))
+    weight = particles.tempered(sharp, 20)
+    assert oracle.effective_size(oracle.normalized(sharp)) < 2
+    assert oracle.effective_size(weight) == pytest.approx(20, rel=1e-3)
+    assert np.array_equal(np.argsort(weight), np.argsort(sharp))

@@ -164,8 +164,8 @@ def test_a_run_without_detections_says_nothing(ring):
 def test_slam_alone_names_a_lost_receiver_and_leaves_with_3(tmp_path, call, capsys, density):
     path = tmp_path / "d.h5"
     stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=12", "filter.particles=200"]), seed=2)
-    told = "track.start=[30, 40, 0.2, 300]"
-    assert call("slam", path, "--filter", density, "--set", told) == 3
+    told = ("--set", "track.start=[30, 40, 0.2, 300]", "--set", "filter.restart=false")
+    assert call("slam", path, "--filter", density, *told) == 3
     shown = " ".join(capsys.readouterr().out.split())
     assert "diverged: " + density in shown and "do not use this track" in shown and "snapshot" in shown
     group = next(g for g in dataset.groups(path) if g.startswith("slam_"))
@@ -175,7 +175,8 @@ def test_slam_alone_names_a_lost_receiver_and_leaves_with_3(tmp_path, call, caps
 def test_belief_propagation_from_a_wrong_start_names_it_or_its_own_end(tmp_path, call, capsys):
     path = tmp_path / "d.h5"
     stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=12", "filter.particles=200"]), seed=2)
-    status = call("slam", path, "--filter", "bp", "--set", "track.start=[30, 40, 0.2, 300]")
+    told = ("--set", "track.start=[30, 40, 0.2, 300]", "--set", "filter.restart=false")
+    status = call("slam", path, "--filter", "bp", *told)
     out, err = capsys.readouterr()
     assert status in (2, 3) and "snapshot" in out + err and "a fault of dopslam" not in err
 
@@ -185,7 +186,7 @@ def test_the_table_and_the_summary_name_it(tmp_path, call, capsys):
     stages.simulate(path, load("ring_road", ["source.kind=model", "track.steps=12"]), seed=2)
     assert call("slam", path) == 0 and call("bound", path) == 0
     assert call("evaluate", path, "--out", tmp_path) == 0
-    assert call("slam", path, "--set", "track.start=[30, 40, 0.2, 300]") == 3
+    assert call("slam", path, "--set", "track.start=[30, 40, 0.2, 300]", "--set", "filter.restart=false") == 3
     capsys.readouterr()
     assert call("evaluate", path, "--out", tmp_path) == 3
     summary = (tmp_path / "summary.json").read_text()

@@ -280,8 +280,8 @@ class Conditional:
         )  # fmt: skip
         log_weight += sampling.quadratic(points - means[chosen], covariance)
         log_weight -= sampling.quadratic(points - centers[chosen], noise)
-        normal = normalized(log_weight)
-        effective = effective_size(normal)
+        effective = effective_size(normalized(log_weight))
+        normal = sampling.tempered(log_weight, 4 * (len(active) + 1))
         mean = normal @ points
         offset = points - mean
         spread = (normal[:, None] * offset).T @ offset

@@ -14,6 +14,7 @@ import numpy as np
 
 from dopslam.compute.compiled import compiled
 from dopslam.models.kernels import cholesky
+from dopslam.slam.belief.belief import effective_size, normalized
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import VA
 
@@ -134,6 +135,21 @@ def proposal(
     mean = centers + (shift - (centers - before) @ rows.T) @ gain.T
     covariance = noise - gain @ cross.T
     return mean, widening**2 * 0.5 * (covariance + covariance.T)
+
+
+def tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
+    """Weights (N,), normalized, flattened by one exponent so far that ``least`` of them count.
+
+    Fewer than there are coordinates have no covariance; the linearized proposal that they correct has.
+    """
+    normal = normalized(log_weight)
+    if effective_size(normal) >= least:
+        return normal
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective_size(normalized(middle * log_weight)) >= least else (low, middle)
+    return normalized(low * log_weight)
 
 
 def quadratic(offset: np.ndarray, covariance: np.ndarray) -> np.ndarray:
