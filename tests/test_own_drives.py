@@ -80,7 +80,7 @@ array = { kind = "cylinder", columns = 8, rings = 2 }
 def test_a_scenario_needs_nothing_beside_its_waypoints(tmp_path):
     scenario = parse(TEXT + f"waypoints = {STOP_AND_GO}\nmax_acceleration = 2.0\n")
     assert (scenario.track.steps, scenario.track.period, scenario.track.start[:2]) == (70, 0.2, (0.0, 0.0))
-    assert scenario.filter.motion == "unknown" and scenario.filter.speed_walk == pytest.approx(0.2)
+    assert scenario.filter.motion == "unknown" and scenario.filter.speed_walk == pytest.approx(0.4)
     track = stages.draw_track(scenario, 3)
     assert track.steps == 70 and np.allclose(track.position[-1], [20, 5, 1.5])
     fastest = np.linalg.norm(track.velocity, axis=1).max()

@@ -27,6 +27,8 @@ TURN, TURN_TIMES_SPEED = 0.01, 0.02  # rad/√s; m/√s³: a walker turns more f
 UNKNOWN = {"intensity_va": 8.0, "intensity_sp": 80.0}  # landmarks within the farthest distance of the drive
 SMALLEST_SPACE = 3.0  # m
 WALKING = 3.0  # m/s, the fastest walk
+SLOWEST_WALK = 0.05  # m/s per step
+TURNED_IN = 1.5  # 1/s: two thirds of a second from straight ahead to the sharpest turn
 
 
 def fitted(scenario: Sections, drive: Drive | None = None) -> dict[str, Any]:
@@ -37,11 +39,13 @@ def fitted(scenario: Sections, drive: Drive | None = None) -> dict[str, Any]:
     """
     far = reach(scenario, drive)
     speed = scenario.track.speed if drive is None else float(abs(drive.speed).max())
+    agile = {} if drive is None else _agility(scenario, speed)
+    walks = (agile["speed_walk"], agile["turn_rate_walk"]) if agile else (0.0, 0.0)
     found = {
         "radio": _radio(scenario, far),
-        "track": _track(scenario, speed),
+        "track": _track(scenario, speed, walks),
         "estimator": {"max_radial_velocity": float(round(max(1.25 * speed, speed + 1.5), 3))},
-        "filter": _filter(far) | ({} if drive is None else _agility(scenario, speed)),
+        "filter": _filter(far) | agile,
     }
     given = {name: getattr(scenario, name).model_fields_set for name in found}
     kept = {name: {k: v for k, v in keys.items() if k not in given[name]} for name, keys in found.items()}
@@ -89,16 +93,22 @@ def _radio(scenario: Sections, far: float) -> dict[str, Any]:
     }
 
 
-def _track(scenario: Sections, speed: float) -> dict[str, Any]:
+def _track(scenario: Sections, speed: float, walks: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
+    """How far a receiver strays in a step: aside, from unsteadiness; and by what its speed and turn rate (``walks`` [m/s,
+    rad/s] a step) change while the step lasts, which a white acceleration over T integrates to T/√3 of the change."""
     period = scenario.track.period
-    time = math.sqrt(period)
-    aside = max(1e-3, STRAY * speed * period)
-    turn = min(TURN, TURN_TIMES_SPEED / speed if speed else TURN) * time
+    time, within = math.sqrt(period), period / math.sqrt(3)
+    aside = math.hypot(max(1e-3, STRAY * speed * period), walks[0] * within)
+    turn = math.hypot(min(TURN, TURN_TIMES_SPEED / speed if speed else TURN) * time, walks[1] * within)
     return {"process_std": tuple(float(f"{v:.3g}") for v in (aside, aside, turn, CLOCK * time))}
 
 
 def _agility(scenario: Sections, speed: float) -> dict[str, Any]:
-    """Speed and turn rate are unknown: they walk as far in a step as the sharpest maneuver takes them in half of it."""
+    """Speed and turn rate are unknown: a step changes them by the sharpest maneuver at most.
+
+    Too small a walk loses the receiver at the first abrupt turn; three times too large a one costs nothing that could be
+    measured, since detections tell a receiver's heading and speed far better than its past does.
+    """
     track, car = scenario.track, speed > WALKING
     acceleration = track.max_acceleration or (3.0 if car else 1.5)
     turn = track.max_turn_rate or (0.6 if car else 1.5)
@@ -106,8 +116,8 @@ def _agility(scenario: Sections, speed: float) -> dict[str, Any]:
         "motion": "unknown",
         "speed_std": max(0.1, 0.2 * speed),
         "turn_rate_std": 0.5 * turn,
-        "speed_walk": 0.5 * acceleration * track.period,
-        "turn_rate_walk": 0.5 * turn * track.period,  # as if it were reached within a second
+        "speed_walk": max(SLOWEST_WALK, min(acceleration * track.period, speed)),
+        "turn_rate_walk": turn * min(TURNED_IN * track.period, 1.0),
     }
 
 
