@@ -69,6 +69,15 @@ def test_steps_beyond_everything_are_told(tmp_path):
     assert not finding.fatal and "2 of 3 steps, the first 1" in finding.what
 
 
+def test_a_receiver_that_climbs_is_told(tmp_path):
+    scenario = parse(hall(tmp_path).to_toml(), folder=tmp_path)
+    height, scene = scenario.receiver.height, None  # which does not matter
+    flat, ramp = np.full((3, 3), height), np.array([[0.0, 0, height], [1, 0, height + 0.3], [2, 0, height + 2.5]])
+    assert preflight._height(scenario, scene, flat) == []
+    (finding,) = preflight._height(scenario, scene, ramp)
+    assert not finding.fatal and "2.5 m" in finding.what and "step 2" in finding.what
+
+
 def test_the_base_station_and_points_are_checked_too(tmp_path):
     place = 'scatter_point=[{ name = "lamp", position = [6.5, 0.5, -1.5] }]'
     _, faults = found(hall(tmp_path, settings=["base_station.position=[6, 0, -2]", place, "track.start=[0, -8, 0, 0]"]))

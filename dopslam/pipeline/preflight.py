@@ -20,6 +20,8 @@ from estimation.errors import EstimationError
 if TYPE_CHECKING:
     from dopslam.raytracing import LoadedScene, SceneSource
 
+SLOPE = 0.02  # m, of the receiver's height, that does no harm
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -127,5 +129,19 @@ def _leaving(scenario: Scenario, scene: LoadedScene, positions: np.ndarray) -> l
     return [Finding("track", what, fatal=False)]
 
 
+def _height(scenario: Scenario, scene: LoadedScene, positions: np.ndarray) -> list[Finding]:
+    """A receiver that climbs: the filters hold its height for known and constant."""
+    off = np.abs(positions[:, 2] - scenario.receiver.height)
+    most = max(SLOPE, 3 * scenario.track.process_std[0])
+    if not len(off) or off.max() <= most:
+        return []
+    what = (
+        f"at step {int(np.argmax(off))} the receiver is {off.max():.2g} m above or below receiver.height = "
+        f"{scenario.receiver.height:g} m, which the filters hold for constant: track and map bend by as much; keep z within "
+        f"{most:.2g} m"
+    )
+    return [Finding("track", what, fatal=False)]
+
+
 Rule = Callable[[Scenario, "LoadedScene", np.ndarray], list[Finding]]
-RULES: tuple[Rule, ...] = (_positions, _link, _leaving)
+RULES: tuple[Rule, ...] = (_positions, _link, _leaving, _height)
