@@ -61,13 +61,14 @@ def ambiguity(
         return Ambiguity(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
     speeds = np.arange(1.5 * resolution, 2 * max_speed, resolution / 4)
     phase = np.exp(2j * np.pi / wavelength * np.outer(schedule.times, speeds))
-    if schedule.precoders is None:
+    precoders = schedule.precoders
+    if precoders is None:
         level = np.abs(phase.mean(axis=0))
         best = int(np.argmax(level))
         return Ambiguity(level[[best]], speeds[[best]], level, speeds)
 
     def beams(response):
-        return response.conj() @ schedule.precoders.T
+        return response.conj() @ precoders.T
 
     grid = direction_grid(departure_view or View(), model.transmitter, 0.8, beams)
     gains = beams(model.transmitter.response(grid)[0])[:, schedule.precoder_index]

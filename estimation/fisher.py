@@ -55,7 +55,7 @@ def snr(model: SignalModel, paths: PathTable, noise_variance: float) -> Float:
     """
     matrix = gram(model, model.evaluate(paths.geometry))[:, 0, :, 0]
     result = np.zeros(len(paths))
-    own = np.diag(matrix).real
+    own = np.real(np.diag(matrix))
     seen = own > UNSEEN * own.max(initial=0.0)
     if not seen.any():
         return result

@@ -32,6 +32,7 @@ from typing import Any
 import llvmlite.binding
 import numba
 import numpy as np
+from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 KEPT_DAYS = 30  # a folder of the cache that nothing used for so long is deleted
@@ -54,7 +55,7 @@ def cached(function: Callable[..., Any], root: Path, **options: Any) -> Any:
     root : folder of the package whose sources the machine code is made from
     options : of ``numba.njit``
     """
-    dispatcher = numba.njit(**options)(function)
+    dispatcher: Any = numba.njit(**options)(function)
     folder = _writable(cache_folder())
     if folder is not None:
         with contextlib.suppress(OSError, AttributeError):  # the source cannot be read; a numba without this cache
@@ -64,8 +65,9 @@ def cached(function: Callable[..., Any], root: Path, **options: Any) -> Any:
 
 def cache_folder() -> Path | None:
     """The folder of all compiled kernels, whether or not it can be written; None without a home folder."""
-    if numba.config.CACHE_DIR:
-        return Path(numba.config.CACHE_DIR) / "dopslam"
+    chosen = getattr(config, "CACHE_DIR", "")  # numba sets its names from the environment
+    if chosen:
+        return Path(chosen) / "dopslam"
     named = os.environ.get("XDG_CACHE_HOME")
     if named and os.path.isabs(named):
         return Path(named) / "dopslam" / "numba"

@@ -95,10 +95,10 @@ def random_paths(model: SignalModel, rng: np.random.Generator, decibels=(18.0, 4
         count = max(2, count - (rng.random() < 0.01))
     ends = []
     for array in (model.receiver, model.transmitter):
-        ahead = 1.1 if array.normal is not None else np.pi
+        ahead = 1.1 if isinstance(array, Array) and array.normal is not None else np.pi
         ends.append(np.c_[rng.uniform(-ahead, ahead, count), rng.uniform(-0.7, 0.7, count)])
-    unit = PathTable(delay, *ends, speed, np.exp(2j * np.pi * rng.random(count)))
-    return at_snr(model, unit, 10 ** (rng.uniform(*decibels, count) / 10))
+    unit = PathTable(delay, ends[0], ends[1], speed, np.exp(2j * np.pi * rng.random(count)))
+    return at_snr(model, unit, 10 ** (rng.uniform(decibels[0], decibels[1], count) / 10))
 
 
 def right_model(links: int, snapshots: int, seed: int = 1000) -> list[dict]:

@@ -44,8 +44,8 @@ def close_pair(
     else:
         second[dimension] = first[dimension] + step
     amplitude = np.sqrt(10 ** (rho_db / 10) / np.prod(model.shape))
-    columns = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
-    return PathTable(*columns, amplitude * np.exp(2j * np.pi * rng.random(2)))
+    delay, aoa, aod, speed = (np.concatenate(pair) for pair in zip(first, second, strict=True))
+    return PathTable(delay, aoa, aod, speed, amplitude * np.exp(2j * np.pi * rng.random(2)))
 
 
 def likelihood_gain(model: SignalModel, signal, pair: PathTable) -> float:

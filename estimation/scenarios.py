@@ -8,7 +8,7 @@ import numpy as np
 
 from .estimators.grids import View
 from .fisher import snr
-from .signal.arrays import cylinder, ura
+from .signal.arrays import Array, cylinder, ura
 from .signal.model import SignalModel
 from .signal.paths import PathTable
 from .signal.schedule import digital, random_phase_beams, sweep
@@ -71,6 +71,7 @@ def draw_paths(model: SignalModel, rng: np.random.Generator, draw: Draw = Draw()
             continue
         bins = [delay * model.waveform.bandwidth, speed * period / model.waveform.wavelength]
         for array, cosine in zip((model.receiver, model.transmitter), cosines, strict=True):
+            assert isinstance(array, Array)
             bins += [
                 cosine[:, 0] * np.ptp(array.positions[:, 1]),
                 cosine[:, 1] * np.ptp(array.positions[:, 2]),

@@ -15,6 +15,7 @@ import numpy as np
 
 from .detections import Detections
 from .estimators import find
+from .estimators.dense import DenseSearch
 from .estimators.detect import detection_probability
 from .estimators.nomp import Nomp
 from .evaluate import Match, associate, detection_by_band, nees_by_band, summarize
@@ -138,9 +139,9 @@ def swept(snapshots: int, seed: int = 22) -> dict:
     model = swept_link()
 
     def case(rng: np.random.Generator):
-        angles = [np.c_[rng.uniform(-np.pi, np.pi, 6), rng.uniform(-0.8, 0.8, 6)] for _ in range(2)]
+        aoa, aod = (np.c_[rng.uniform(-np.pi, np.pi, 6), rng.uniform(-0.8, 0.8, 6)] for _ in range(2))
         delay, speed = rng.uniform(0, 2e-6, 6), rng.uniform(-22, 22, 6)
-        unit = PathTable(delay, *angles, speed, np.exp(2j * np.pi * rng.random(6)))
+        unit = PathTable(delay, aoa, aod, speed, np.exp(2j * np.pi * rng.random(6)))
         return at_snr(model, unit, 10 ** rng.uniform(1.3, 4.8, 6)), 1.0
 
     return report_runs(run_series(Nomp(model), model, [case] * snapshots, seed))
@@ -195,7 +196,9 @@ def speed(
         paths = draw_paths(model, np.random.default_rng(1))
         noise = np.random.default_rng(0)
         synthesis = min(_timed(lambda m=model, p=paths, r=noise: synthesize(m, p, 1.0, r)) for _ in range(9))
-        floor = 1e3 * estimator._search.operations(model) / rate
+        search = estimator._search
+        assert isinstance(search, DenseSearch)
+        floor = 1e3 * search.operations(model) / rate
         rows.append(
             {
                 "samples": int(np.prod(model.shape)),
@@ -268,7 +271,8 @@ def search_loss(
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(row, trial)))
             aoa, aod = (np.array([[rng.uniform(-3.1, 3.1), rng.uniform(-0.9, 0.9)]]) for _ in range(2))
             delay, speed = rng.uniform(0, model.waveform.max_delay), rng.uniform(-22, 22)
-            path = PathTable([delay], aoa, aod, [speed], [np.exp(2j * np.pi * rng.random())])
+            gain = np.exp(2j * np.pi * rng.random(1))
+            path = PathTable(np.array([delay]), aoa, aod, np.array([speed]), gain)
             path = at_snr(model, path, [10 ** (level / 10)])
             signal = synthesize(model, path, 1.0, rng)
             found = estimator.run(signal, noise_variance=1.0)
@@ -284,7 +288,8 @@ def search_loss(
             p = np.clip(detection_probability(rho, estimator.level, estimator.parameters), 1e-9, 1 - 1e-9)
             return -float(np.sum(counts * np.log(p) + (trials - counts) * np.log(1 - p)))
 
-        return float(minimize_scalar(loss, bounds=(-2, 4), method="bounded").x)
+        best = minimize_scalar(loss, bounds=(-2, 4), method="bounded")
+        return float(best.x)  # pyright: ignore[reportAttributeAccessIssue]  # SciPy's stub knows no result
 
     rng = np.random.default_rng(seed)
     boot = []

@@ -149,10 +149,10 @@ class DenseSearch:
             speeds,
             arrivals,
             departures,
-            tuple(cells),
-            (*lines, *steps),
+            (cells[0], cells[1], cells[2], cells[3]),
+            (lines[0], lines[1], steps[0], steps[1]),
             folding,
-            (None if delay.matrix is None else filters[0], *filters[1:]),
+            (None if delay.matrix is None else filters[0], filters[1], filters[2], filters[3]),
             (cells[1].vectors, np.linalg.pinv(cells[1].vectors, rcond=1e-4)),
             lobes,
             Effort(None, 0, 0, candidates),
@@ -198,7 +198,8 @@ class DenseSearch:
             block = slice(start, start + count)
             part = product_right(partial[:, block].reshape(2, -1, elements), departure)
             product(arrival, part.reshape(2, -1, speeds, ports, departures), matched.cells[:, block])
-        return Spectrum(matched, tuple(np.empty((0, size), C64) for size in self.shape), np.empty(0))
+        none = [np.empty((0, size), C64) for size in self.shape]
+        return Spectrum(matched, (none[0], none[1], none[2], none[3]), np.empty(0))
 
     def without(self, filtered: Spectrum, blocks: Blocks, gain, spare=None) -> Spectrum:
         """The spectrum with given paths taken out of its cells; nothing is copied, so no ``spare`` is needed."""

@@ -62,7 +62,8 @@ def threshold_for(false_alarm_rate: float, volume: float, parameters: int) -> fl
             f"parameters) for a false-alarm rate of {false_alarm_rate:.3g} per snapshot; ask for less than {most:.2g}, "
             "or give threshold="
         )
-    return brentq(lambda u: float(expected_maxima(u, volume, parameters)) - false_alarm_rate, lowest, 700.0)
+    root = brentq(lambda u: float(expected_maxima(u, volume, parameters)) - false_alarm_rate, lowest, 700.0)
+    return float(root)  # pyright: ignore[reportArgumentType]  # without full_output it is a number
 
 
 def search_volume(

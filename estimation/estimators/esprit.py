@@ -82,6 +82,8 @@ class Esprit(Nomp):
             return Geometry.empty()
         left, values, right = left[:, :count], values[:count], right[:, :count]
         delay_shift, time_shift, receive, transmit = shifts(self)
+        receiver, transmitter = self.model.receiver, self.model.transmitter
+        assert isinstance(receiver, Array) and isinstance(transmitter, Array)  # or it has no shifts
         cube = left.reshape(pilots, symbols, count)
         sides = []
         for tensor, pairs in (
@@ -119,8 +121,8 @@ class Esprit(Nomp):
         speed = np.angle(left_roots[1][row]) / (2 * np.pi * time_shift) * self.model.waveform.wavelength
         phases = [np.angle(r[column]) / (2 * np.pi) for r in right_roots]
         split = len(receive[0])
-        arrival = directions_from(self.model.receiver, receive[0], np.stack(phases[:split], axis=1))
-        departure = directions_from(self.model.transmitter, transmit[0], -np.stack(phases[split:], axis=1))
+        arrival = directions_from(receiver, receive[0], np.stack(phases[:split], axis=1))
+        departure = directions_from(transmitter, transmit[0], -np.stack(phases[split:], axis=1))
         return Geometry(delay, arrival, departure, speed)
 
 

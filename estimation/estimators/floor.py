@@ -89,7 +89,7 @@ class Floor:
         for mode, part in enumerate(model.bands[0].modes):
             if part.size > PAIR + 1:
                 energy = np.linalg.norm(self.along(path, mode)) ** 2
-                raised = max(raised, energy / ((part.size - PAIR) * self.variance))
+                raised = max(raised, float(energy) / ((part.size - PAIR) * self.variance))
         return raised
 
     def errors(self) -> Float:

@@ -42,7 +42,7 @@ class Pairs:
         """Pairs among ``places`` (M, d); none unless they are symmetric about the origin."""
         places = np.asarray(places, float)
         own = np.arange(len(places))
-        distance, partner = KDTree(places).query(-places)
+        distance, partner = (np.asarray(found) for found in KDTree(places).query(-places))
         if distance.max() > 1e-6 * max(np.abs(places).max(), 1e-300) or np.any(partner[partner] != own):
             return Pairs.none(len(places))
         first = own[partner > own]
@@ -54,7 +54,7 @@ class Pairs:
         places = getattr(array, "positions", None)
         pairs = Pairs.none(array.elements) if places is None else Pairs.build(places)
         vectors = pairs.fold(array.response(sphere(50))[0])
-        return pairs if pairs.real and np.allclose(vectors.imag, 0) else Pairs.none(array.elements)
+        return pairs if pairs.real and np.allclose(np.imag(vectors), 0) else Pairs.none(array.elements)
 
     @staticmethod
     def none(size: int) -> Pairs:
@@ -84,7 +84,8 @@ class Pairs:
             return self.fold(vectors).astype(np.complex64)
         # Of conjugate-symmetric vectors one of each pair tells all.
         first = vectors[..., self.first] * np.sqrt(2)
-        return np.concatenate([first.real, first.imag, vectors[..., self.alone].real], axis=-1, dtype=np.float32)
+        alone = np.real(vectors[..., self.alone])
+        return np.concatenate([np.real(first), np.imag(first), alone], axis=-1, dtype=np.float32)
 
     def unfold_rows(self, rows: Complex) -> Complex:
         """The inverse of :meth:`fold` along the first axis."""
@@ -151,7 +152,7 @@ def product(matrix: Matrix, planes: Planes, out: Planes | None = None) -> Planes
 def product_right(planes: Planes, matrix: Matrix) -> Planes:
     """Planes (2, ..., c, m) of complex numbers times the transpose of ``matrix`` (n, m)."""
     if not np.iscomplexobj(matrix):
-        return planes @ matrix.T
+        return planes @ matrix.T  # pyright: ignore[reportReturnType]  # both are real, of single precision
     real, imag = matrix.real, matrix.imag
     return np.stack([planes[0] @ real.T - planes[1] @ imag.T, planes[0] @ imag.T + planes[1] @ real.T])
 

@@ -179,7 +179,7 @@ class DelayGrid:
         # Blocks of columns: the transform along the first axis strides through memory.
         for start in range(0, columns.shape[1], BLOCK):
             part = slice(start, start + BLOCK)
-            out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]
+            out[:, part] = scipy.fft.ifft(columns[:, part], self.length, axis=0, norm="forward")[: len(out)]  # pyright: ignore[reportCallIssue, reportArgumentType]  # SciPy's stub
         return out.reshape(-1, *signal.shape[1:])
 
     def around(self, delay: Float):

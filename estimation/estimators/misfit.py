@@ -62,12 +62,12 @@ def misfit(lin: Linearization, noise_variance: float, active) -> Misfit:
     idle = np.tile(~active, paths)
     gram = tangent_gram(lin)
     gram[idle], gram[:, idle] = 0.0, 0.0
-    diagonal = np.diag(gram).real
+    diagonal = np.real(np.diag(gram))
     scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     gram *= np.outer(scale, scale)
     # What the paths' own moves take of the directions out of phase with them.
-    plain, cross = gram.real + 1e-9 * np.eye(len(gram)), gram.imag
-    rest = gram.real - cross.T @ np.linalg.solve(plain, cross)
+    plain, cross = np.real(gram) + 1e-9 * np.eye(len(gram)), np.imag(gram)
+    rest = np.real(gram) - cross.T @ np.linalg.solve(plain, cross)
     score = (lin.quadrature.ravel() * scale).reshape(paths, 6)
     level = float(chi2.isf(RATE, size))
     for path in range(paths):

@@ -10,6 +10,7 @@ component must be worth its threshold against a refitted model without it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -101,14 +102,8 @@ class Nomp:
         object.__setattr__(self, "_basis", Bases.build(self.model))
         arrivals, arrival_angle = directions_in(self.arrival_view, self.model.receiver)
         departures, departure_angle = directions_in(self.departure_view, self.model.transmitter)
-        volume = search_volume(
-            self.model,
-            longest,
-            (-self.max_speed, self.max_speed),
-            arrivals,
-            departures,
-            (arrival_angle, departure_angle),
-        )
+        speeds, angles = (-self.max_speed, self.max_speed), (arrival_angle, departure_angle)
+        volume = search_volume(self.model, longest, speeds, arrivals, departures, angles)
         object.__setattr__(self, "volume", volume)
         if self.threshold is None:
             searched = SHARE * volume
@@ -188,7 +183,7 @@ class Nomp:
         if energy is None:
             energy = float(np.vdot(white, data.signal).real)
         noise = Noise(energy, white.size, noise_variance, inflation)
-        filtered = self._search.filtered(data)
+        filtered: Any = self._search.filtered(data)  # in a form of its own
         lin = None
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -234,7 +229,8 @@ class Nomp:
             return found, statistic
         floor = Floor(data, lin, variance, self.error_share)
         if statistic[0] > STRONG * self.level:
-            outside = beyond(floor, found.take([0]), statistic[0] * variance, self.max_delay, self.max_speed)
+            limits = float(self.max_delay or 0.0), self.max_speed
+            outside = beyond(floor, found.take([0]), statistic[0] * variance, *limits)
             if outside is not None:
                 return outside, statistic[:1]
         strong = np.flatnonzero(statistic > self.level)
@@ -317,7 +313,7 @@ class Nomp:
             significant = significant[distinct(overlap, energies[significant], len(significant), limit=0.25)]
             peaks = points.take(significant)
             cells = self._search.projector(data, residual, lin, peaks)
-            rivals = self._search.alternatives(model, cells, peaks, energies[significant])
+            rivals = self._search.alternatives(model, cells, peaks, energies[significant])  # pyright: ignore[reportArgumentType]  # without sub-bands
             if len(rivals):
                 rivals, rival_energies = self._refined(data, residual, lin, rivals, variance)
                 points, energies = points.joined(rivals), np.concatenate([energies, rival_energies])

@@ -33,7 +33,7 @@ def novelty(model: SignalModel, geometry: Geometry, known: Linearization | None)
     if known is None or not len(geometry):
         return np.ones(len(geometry))
     blocks = [[mode[:, :1] for mode in modes] for modes in model.evaluate(geometry)]
-    own = gram_diagonal(model, blocks, plain=True)[:, 0, 0].real
+    own = np.real(gram_diagonal(model, blocks, plain=True)[:, 0, 0])
     cross = gram(model, blocks, known.blocks, plain=True)[:, 0, :, 0]
     shared = np.einsum("pk,kl,pl->p", cross, known.inverse, cross.conj()).real
     return np.maximum(1 - shared / np.maximum(own, 1e-300), LEAST_NOVELTY)
@@ -55,20 +55,20 @@ class CellProjector:
         """``<d_a s_p, r>`` (P, 7) of the candidates number ``index``."""
         partial = self.at_delay(blocks[0][0], index)
         if self.gather is not None:
-            lead = partial.shape[:2]
-            kept = partial.reshape(*lead, len(self.gather), -1)
-            partial = np.zeros((*lead, self.model.schedule.symbols, kept.shape[3]), kept.dtype)
-            partial[:, :, self.gather] = kept
-            partial = partial.reshape(*lead, -1)
+            paths, columns = partial.shape[:2]
+            kept = partial.reshape(paths, columns, len(self.gather), -1)
+            whole = np.zeros((paths, columns, self.model.schedule.symbols, kept.shape[-1]), kept.dtype)
+            whole[:, :, self.gather] = kept
+            partial = whole.reshape(paths, columns, -1)
         return project_rest(self.model, partial, blocks[0])
 
     def at_delay(self, vectors, index):
         """The residual matched to delay vectors (P, c, K): (P, c, rest)."""
         first = self.first[index]
         weights = self.grid.combination(vectors, first)[0].conj().astype(np.complex64)
-        out = np.empty((*weights.shape[:2], self.filtered.shape[1]), np.complex64)
-        for own, start, row in zip(weights, first, out, strict=True):
-            np.matmul(own, self.filtered[start : start + own.shape[1]], out=row)
+        out = np.empty((len(weights), weights.shape[1], self.filtered.shape[1]), np.complex64)
+        for path, (own, start) in enumerate(zip(weights, first, strict=True)):
+            np.matmul(own, self.filtered[start : start + own.shape[1]], out=out[path])
         return out
 
 
@@ -95,7 +95,7 @@ class MatchedProjector:
         # tones count from the first pilot.
         pilots, symbols, *_ = self.folding.axes
         real = pilots.real and self.grid.matrix is not None
-        scaled = np.sqrt(frequency.shape[-1]) * (weights.real if real else weights.conj())
+        scaled = np.sqrt(frequency.shape[-1]) * (np.real(weights) if real else weights.conj())
         scaled = scaled.astype(np.float32 if real else np.complex64)
         partial = np.empty((2, *weights.shape[:2], self.partial.shape[2]), np.float32)
         for p, start in enumerate(first):
@@ -196,7 +196,7 @@ def _assess(data, geometry: Geometry, index):
     blocks = model.evaluate(geometry)
     inner = data.inner(geometry, blocks, index)
     own = gram_diagonal(model, blocks)
-    norm = np.maximum(own[:, 0, 0].real, 1e-300)
+    norm = np.maximum(np.real(own[:, 0, 0]), 1e-300)
     gain = inner[:, 0] / norm
     slope = np.real(gain.conj()[:, None] * (inner - own[:, :, 0] * gain[:, None])[:, 1:])
     return np.abs(inner[:, 0]) ** 2 / norm, slope * model.active, metric(own, model.active)

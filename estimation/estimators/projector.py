@@ -42,7 +42,7 @@ class Basis:
     @staticmethod
     def build(rate: Complex, pairs: Pairs) -> Basis:
         """Basis over :data:`HALF_WIDTH` bins either way."""
-        half = HALF_WIDTH * 2 * np.pi / np.ptp(rate.imag)
+        half = HALF_WIDTH * 2 * np.pi / np.ptp(np.imag(rate))
         offset = np.linspace(-1, 1, 81) * half
         left, values, _ = np.linalg.svd(np.exp(np.outer(rate, offset)), full_matrices=False)
         left = left[:, : int(np.sum(values > ACCURACY * values[0]))]
@@ -64,7 +64,7 @@ class Basis:
         """
         vector = np.exp(self.rate * offset[:, None])
         inside = np.stack([vector, self.rate * vector], axis=1) @ self.vectors.conj()
-        return inside.real.astype(np.float32) if self.pairs.real else inside.astype(C64)
+        return np.real(inside).astype(np.float32) if self.pairs.real else inside.astype(C64)
 
 
 def common_phase(vectors: Complex):

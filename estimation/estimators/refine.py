@@ -79,7 +79,7 @@ def inverted(plain) -> np.ndarray:
 
     A step may take a path to where an element's pattern vanishes: it has no signature there, and its gain becomes 0.
     """
-    own = np.diag(plain).real
+    own = np.real(np.diag(plain))
     return np.linalg.inv(plain + np.diag(np.where(own > 0, 1e-9 * own, 1.0)))
 
 
@@ -93,7 +93,7 @@ def linearize(data: Projector, geometry: Geometry) -> Linearization:
     residual = inner - matrix[:, :, :, 0] @ gain
     slope = gain.conj()[:, None] * residual[:, 1:]
     explained = float(np.vdot(inner[:, 0], gain).real)
-    return Linearization(geometry, blocks, gain, matrix, inverse, explained, slope.real, slope.imag)
+    return Linearization(geometry, blocks, gain, matrix, inverse, explained, np.real(slope), np.imag(slope))
 
 
 def information(lin: Linearization, active) -> Float:

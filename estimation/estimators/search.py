@@ -24,6 +24,7 @@ from ..signal.algebra import Blocks
 from ..signal.arrays import Complex
 from ..signal.directions import Float
 from ..signal.model import SignalModel
+from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
 from .grids import DelayGrid, View, direction_grid, speed_grid
 from .kernels import add_power, derotated, row_peaks
@@ -125,9 +126,9 @@ class StagedSearch:
         slots = schedule.slots()
         delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling)
         time = model.bands[0].modes[1]
-        settings = [0] if schedule.combiners is None else list(schedule.combiner_index[slots[0, 0]])
-
-        combiners = None if schedule.combiners is None else [time.combiners[s] for s in settings]
+        assert isinstance(time, TimeMode) and schedule.precoders is not None and schedule.precoder_index is not None
+        settings = [0] if schedule.combiner_index is None else list(schedule.combiner_index[slots[0, 0]])
+        combiners = None if time.combiners is None else [time.combiners[s] for s in settings]
         book = schedule.precoders[schedule.precoder_index[slots[0, :, 0]]]
 
         def received(response):
@@ -221,18 +222,17 @@ class StagedSearch:
         delay = delay[cell[best]]
         delay = delay if chosen is None else chosen[delay]
         index = np.stack([delay, arrival[cell[best]], departure, speed[best]])
-        delay, arrival, departure, speed = index[:, self.lobes.first_of_each(*index, effort.candidates)]
+        kept = self.lobes.first_of_each(index[0], index[1], index[2], index[3], effort.candidates)
+        delay, arrival, departure, speed = index[:, kept]
         return Geometry(
             self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
         )
 
     def alternatives(self, model: SignalModel, cells: CellProjector, found: Geometry, energy: Float) -> Geometry:
-        """Directions in other lobes that could explain found peaks about as well, at the same delay and
-        speed.
+        """Directions in other lobes that could explain found peaks about as well, at the same delay and speed.
 
-        An array's near-ambiguity (two rings, for instance, nearly confuse steep elevations above and below)
-        may give the wrong lobe
-        the better grid point; the peaks themselves must decide.
+        An array's near-ambiguity (two rings, for instance, nearly confuse steep elevations above and below) may give the
+        wrong lobe the better grid point; the peaks themselves must decide.
         """
         blocks = model.evaluate(found)[0]
         data = cells.at_delay(blocks[0][:, :1], np.arange(len(found))).reshape(len(found), self.snapshots, -1)

@@ -6,6 +6,8 @@ Index 0 of the axes of length 7 is the signature itself, 1..6 its derivative alo
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.linalg.blas import cgemm  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -78,7 +80,7 @@ def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain:
     """
     columns = model.columns
     others_columns = np.zeros((len(columns), 1), int) if plain else columns
-    total = 0
+    total: Any = 0
     for modes, others in zip(blocks, blocks if other is None else other, strict=True):
         product = 1
         for row, (left, right) in enumerate(zip(modes, others, strict=True)):
@@ -93,7 +95,7 @@ def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain:
 
 def gram_diagonal(model: SignalModel, blocks: Blocks, plain: bool = False) -> Complex:
     """Gram matrices (P, 7, 7) of each path with itself; (P, 1, 1) without derivatives if ``plain``."""
-    total = 0
+    total: Any = 0
     columns = np.zeros((len(blocks[0]), 1), int) if plain else model.columns
     for modes in blocks:
         product = 1

@@ -111,9 +111,13 @@ class Array:
         """Where a planar array faces (3,), in the parent frame; None for any other."""
         return None if self._normal is None else self._to_parent(self._normal)
 
-    @cached_property
+    @property
     def sight(self) -> Sight:
         """What the array can tell of a direction."""
+        return self._sight
+
+    @cached_property
+    def _sight(self) -> Sight:
         return sight_of(self)
 
     @property

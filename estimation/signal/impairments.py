@@ -96,7 +96,10 @@ class Impairments:
         if self.bits:
             full = 4 * np.sqrt(np.mean(np.abs(signal) ** 2) / 2)
             step = 2 * full / 2**self.bits
-            parts = [np.clip(step * (np.floor(part / step) + 0.5), -full, full) for part in (signal.real, signal.imag)]
+            parts = [
+                np.clip(step * (np.floor(part / step) + 0.5), -full, full)
+                for part in (np.real(signal), np.imag(signal))
+            ]
             signal = parts[0] + 1j * parts[1]
         return signal
 

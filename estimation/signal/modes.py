@@ -145,13 +145,13 @@ class TimeMode:
         """Vector and derivatives in the order of ``parameters``, (P, 1 + c, N * M)."""
         rate = 2j * np.pi * scale / self.wavelength * self.times
         doppler = np.exp(rate * geometry.speed[:, None])
-        if self.transmitter is None:
+        if self.transmitter is None or self.precoders is None:
             beams = np.ones((len(geometry), 1, len(self.times)))
         else:
             departure = _block(self.transmitter, geometry.departure, scale).conj()
             beams = (departure @ self.precoders.T)[:, :, self.precoder_index]
         timed = beams * doppler[:, None]
-        if self.receiver is None:
+        if self.receiver is None or self.combiners is None:
             return np.concatenate([timed, rate * timed[:, :1]], axis=1)
         arrival = _block(self.receiver, geometry.arrival, scale)
         ports = np.einsum("smr,pcr->pcsm", self.combiners, arrival)[:, :, self.combiner_index]

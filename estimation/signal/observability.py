@@ -9,7 +9,7 @@ positions, patterns or measurements.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,7 +24,7 @@ DIRECTIONS = 400
 class Responding(Protocol):
     """Anything with an array's response."""
 
-    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0):
+    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Any, Any]:
         """Responses (P, M) and derivatives (P, 2, M)."""
         ...
 

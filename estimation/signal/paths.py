@@ -8,6 +8,7 @@ when approaching. The complex gain is the path's amplitude at the carrier freque
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class PathTable:
     aoa: Float
     aod: Float
     radial_velocity: Float
-    gain: np.typing.NDArray[np.complex128]
+    gain: np.typing.NDArray[Any]  # complex128; what numpy infers is wider
 
     def __post_init__(self) -> None:
         delay = np.atleast_1d(np.asarray(self.delay, float))

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import ModelError
 from .arrays import Complex, Manifold
-from .directions import Float, angles_of, tangents, unit_vectors
+from .directions import Float, angles_of, unit_vectors
+from .directions import tangents as tangents_of
 from .observability import Sight, sight_of
 
 
@@ -140,9 +141,13 @@ class EadfArray:
         """Number of elements M."""
         return len(self.coefficients)
 
-    @cached_property
+    @property
     def sight(self) -> Sight:
         """What the array can tell of a direction."""
+        return self._sight
+
+    @cached_property
+    def _sight(self) -> Sight:
         return sight_of(self)
 
     @property
@@ -154,9 +159,7 @@ class EadfArray:
         """Every direction."""
         return np.ones(len(directions), bool)
 
-    def response(
-        self, directions: Float, tangents_: Float | None = None, scale: float = 1.0
-    ) -> tuple[Complex, Complex]:
+    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
         """Responses (P, M) and derivatives (P, 2, M) along the tangents; a measurement at one frequency knows
         no other ``scale``.
         """
@@ -168,11 +171,11 @@ class EadfArray:
         over_az = np.exp(1j * az[:, None] * columns)
         inner = np.einsum("mpq,nq->nmp", self.coefficients, over_az, optimize=True)
         value = np.einsum("nmp,np->nm", inner, over_theta)
-        if tangents_ is None:
+        if tangents is None:
             return value, np.empty((len(value), 0, self.elements), complex)
         d_el = np.einsum("nmp,np->nm", inner, -1j * rows * over_theta)
         turned = np.einsum("mpq,nq->nmp", self.coefficients, 1j * columns * over_az, optimize=True)
         d_az = np.einsum("nmp,np->nm", turned, over_theta) / np.maximum(np.cos(el), 1e-9)[:, None]
-        along = tangents_ if rotation is None else tangents_ @ rotation
-        mixing = along @ tangents(body).swapaxes(-1, -2)
+        along = tangents if rotation is None else tangents @ rotation
+        mixing = along @ tangents_of(body).swapaxes(-1, -2)
         return value, mixing @ np.stack([d_az, d_el], axis=1)
