@@ -40,6 +40,8 @@ def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_
     keys = {"position_rmse_m", "heading_rmse_deg", "clock_bias_rmse_m", "peb_m", "heb_deg", "ceb_m", "rmse_over_bound"}
     assert keys | {"gospa_va_m", "gospa_sp_m", "va_found", "va_total", "sp_found", "nees", "seed"} <= set(written)
     assert set(written["variants"]) == {stages.variant_name(*variant) for variant in VARIANTS}
+    assert written["ate_m"] == pytest.approx(written["position_rmse_m"]) and written["rpe_m"] > 0
+    assert written["t_gospa_va_m"] > written["gospa_va_m"] and written["ospa_va_m"] < 20
     for name in ("plan", "errors", "gospa"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     assert "joint" in (tmp_path / "table.txt").read_text()

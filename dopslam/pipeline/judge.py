@@ -8,8 +8,8 @@ import numpy as np
 
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DopslamError
+from dopslam.evaluate import community, mapping
 from dopslam.evaluate import detections as matching
-from dopslam.evaluate import mapping
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
 from dopslam.evaluate.walls import Walls, wall_figures, walls
@@ -86,6 +86,15 @@ def judged(
     variants = {
         name: {"bound": "smoothing" if _whole_run(scenario, name) else "filtering"}
         | summarize(e, landmarks, radius)
+        | community.figures(
+            track,
+            landmarks,
+            histories[name],
+            scenario.filter.report_existence,
+            scenario.evaluation.gospa_cutoff,
+            scenario.evaluation.gospa_order,
+            largest_order(split_variant(name)[0], landmarks),
+        )
         | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
