@@ -86,7 +86,7 @@ FLOORS = [
     {"report"},
     {"pipeline"},
     {"datasets"},
-    {"formats", "studies"},
+    {"formats", "studies", "challenge"},
     {"api"},
     {"cli"},
 ]

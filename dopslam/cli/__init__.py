@@ -29,6 +29,8 @@ VERBS = {
     "evaluate": "Compare track and map with the truth and the bound: table, summary, figures.",
     "view": "Open the report of a run: what came out, a replay in three dimensions, tables and figures.",
     "compare": "Put several runs beside each other: one table, one figure, differences on the same seeds.",
+    "benchmark": "Make a frozen suite of detections with the truth apart, and run filters on it.",
+    "score": "Score an answer to a suite (CSV of any program, or dataset files) beside truth and bound.",
     "montecarlo": "Many runs of a filter in parallel, beside their bounds.",
     "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
     "check": "Say everything that is wrong with a scene, before it runs, or with a dataset.",

@@ -356,16 +356,18 @@ def bound(
     doppler: bool = True,
     smoothed: bool = False,
     problem: Problem | None = None,
+    label: np.ndarray | None = None,
 ) -> Bound:
     """PCRB (17) at the true track with the R and the detections of this run and the true association.
 
     With ``smoothed`` every step is bounded by the detections of the whole run instead of those up to it.
 
     Paths of two reflections tell what they tell the filters, everything but their departure, unless ``[filter]`` has no
-    such type; those of more carry no information here. ``problem`` is what the filter is told; default the scenario's.
+    such type; those of more carry no information here. ``problem`` is what the filter is told; default the scenario's; ``label`` (N,)
+    the landmark of each detection where it is known, default by :func:`landmark_of_detections`.
     """
     scans = build.scans(scenario, detections)
-    label = landmark_of_detections(scenario, track, landmarks, paths, detections)
+    label = landmark_of_detections(scenario, track, landmarks, paths, detections) if label is None else label.copy()
     kind = landmarks.kind.astype(np.int64)
     kind[(kind == Kind.VA) & (landmarks.order > 1)] = Kind.SR
     label[landmarks.order[label] > (1 if scenario.filter.intensity_sr == 0 else 2)] = CLUTTER

@@ -1,0 +1,1 @@
+"""A frozen suite of detections on which any method is scored: made here, answered anywhere, judged here."""

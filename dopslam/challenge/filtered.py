@@ -1,0 +1,51 @@
+"""Answers of filters to a suite."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from dopslam.challenge.answer import header, of_history, to_rows
+from dopslam.challenge.score import manifest_of, verify
+from dopslam.config.scenario import parse
+from dopslam.errors import DatasetError, DopslamError
+from dopslam.pipeline import stages as pipeline
+from dopslam.pipeline.stages import Progress, quiet
+from dopslam.records import DetectionSeries
+from dopslam.store import file as dataset
+
+
+def answers(suite: Path, name: str, split: str | None = None, progress: Progress = quiet) -> tuple[str, dict[str, str]]:
+    """The answer of a filter as the text of a table, and the cases in which it failed, with the reason.
+
+    Parameters
+    ----------
+    suite : folder
+    name : of :data:`dopslam.filters.FILTERS`, or ``file.py:Class``
+    split : the only one that is wanted
+    """
+    everything = manifest_of(suite)["cases"]
+    cases = [c for c in everything if split in (None, c["split"])]
+    if not cases:
+        raise DatasetError(
+            f"{suite}: has no split {split!r}; it has {', '.join(sorted({c['split'] for c in everything}))}"
+        )
+    verify(suite, None, cases)
+    out, failed = io.StringIO(), {}
+    lines = csv.writer(out, lineterminator="\n")
+    lines.writerow(header())
+    for done, case in enumerate(cases):
+        progress(name.rpartition(":")[2], done, len(cases))
+        path = Path(suite) / case["split"] / f"{case['name']}.h5"
+        text, seed = dataset.read_root(path)
+        scenario, detections = parse(text, source=str(path)), dataset.read_record(path, "detections", DetectionSeries)
+        assert detections.time is not None
+        try:
+            history = pipeline.slam(scenario, detections, name, seed=seed)
+        except DopslamError as error:
+            failed[case["name"]] = str(error)
+            continue
+        lines.writerows(to_rows(case["name"], of_history(detections.time, history, scenario.filter.report_existence)))
+    progress(name.rpartition(":")[2], len(cases), len(cases))
+    return out.getvalue(), failed

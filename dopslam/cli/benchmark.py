@@ -1,0 +1,108 @@
+"""``dopslam benchmark make`` and ``dopslam benchmark run``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclopts import App
+
+from dopslam.cli.common import Filters, filter_names, worker_count
+
+if TYPE_CHECKING:
+    pass
+
+benchmark = App(name="benchmark", help="A frozen suite of detections: make it, run filters on it.")
+
+
+@benchmark.command
+def make(
+    out: Path = Path("suite"),
+    *,
+    truth: Path | None = None,
+    scenes: int = 1,
+    seeds: int = 2,
+    steps: int = 20,
+    first: int | None = None,
+    jobs: int | None = None,
+) -> None:
+    """Make a suite: scenes x drives x noise levels, detections as files with checksums, the truth in a folder apart.
+
+    Parameters
+    ----------
+    out
+        Folder of the suite; participants get this one.
+    truth
+        Folder of the truth; default <out>-truth.
+    scenes
+        Generated scenes of every kind (street, plaza, room, corridor, hall) in each of the splits develop and test.
+    seeds
+        Drives through every scene.
+    steps
+        Snapshots of a drive.
+    first
+        Seed of the first test scene. The default suite is the same for everyone, so that its truth can be remade by whoever
+        has this program; a seed of your own, kept to yourself, makes a test half that nobody knows.
+    jobs
+        Worker processes; default one per core.
+    """
+    from rich.console import Console
+
+    from dopslam.challenge.cases import DEVELOP, FIRST_SCENE, TEST, plan
+    from dopslam.challenge.make import make as write
+    from dopslam.errors import ConfigError
+
+    if min(scenes, seeds, steps) < 1:
+        raise ConfigError("--scenes, --seeds and --steps are whole numbers from 1")
+    seeds_of = FIRST_SCENE if first is None else {DEVELOP: FIRST_SCENE[DEVELOP], TEST: first}
+    apart = out.with_name(f"{out.name}-truth") if truth is None else truth
+    with _bars() as progress:
+        made = write(out, apart, plan(scenes, seeds, seeds_of), steps, worker_count(jobs), progress)
+    Console(highlight=False, soft_wrap=True, markup=False).print(
+        f"{out}: {len(made['cases'])} cases; truth in {apart}; next: dopslam benchmark run {out} --filter joint"
+    )
+
+
+@benchmark.command
+def run(
+    suite: Path,
+    *,
+    filters: Filters = None,
+    out: Path = Path("answers"),
+    split: str | None = None,
+) -> None:
+    """Run filters over the cases of a suite; leaves one answer (CSV) for each filter.
+
+    Parameters
+    ----------
+    suite
+        Folder made by 'dopslam benchmark make'.
+    filters
+        One or several, repeated or with commas, own ones as file.py:Class. Default joint.
+    out
+        Folder for <filter>.csv.
+    split
+        develop or test alone; default both.
+    """
+    from rich.console import Console
+
+    from dopslam.challenge.filtered import answers
+    from dopslam.report.folder import safe_name, write_text
+    from dopslam.store.place import refuse_unwritable
+
+    refuse_unwritable(out / "joint.csv")
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    for name in filter_names(filters) or ["joint"]:
+        with _bars() as progress:
+            text, failed = answers(suite, name, split, progress)
+        path = out / f"{safe_name(name.rpartition(':')[2])}.csv"
+        write_text(path, text)
+        for case, why in failed.items():
+            console.print(f"failed: {case}: {why}")
+        console.print(f"written: {path}; next: dopslam score {path} --suite {suite}")
+
+
+def _bars():
+    from dopslam.cli.bars import timed_bars
+
+    return timed_bars()

@@ -1,0 +1,45 @@
+"""``dopslam score``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def score(
+    answer: Path,
+    *,
+    suite: Path = Path("suite"),
+    truth: Path | None = None,
+    name: str | None = None,
+    json: Path | None = None,
+) -> None:
+    """Score an answer to a suite beside the truth and the bound.
+
+    Parameters
+    ----------
+    answer
+        Table (.csv; columns case, what, time_s, x_m, y_m, z_m, heading_rad, bias_m, cov_11 …, see docs/benchmark.md), dataset
+        file (.h5) of a case with one filter's history, or folder of such files.
+    suite
+        Folder made by 'dopslam benchmark make'.
+    truth
+        Its truth; default <suite>-truth.
+    name
+        Name of the method; default that of the file.
+    json
+        Write all figures, those of single cases included, to this file (scripts/board.py makes a page of several).
+    """
+    from rich.console import Console
+
+    from dopslam.challenge.board import table
+    from dopslam.challenge.score import score as judge
+    from dopslam.report.folder import write_json
+    from dopslam.store.place import refuse_no_file
+
+    refuse_no_file(json)
+    result = judge(answer, suite, suite.with_name(f"{suite.name}-truth") if truth is None else truth, name)
+    console = Console(markup=False)
+    console.print(table(result))
+    if json is not None:
+        write_json(json, result)
+        console.print(f"written: {json}", highlight=False, soft_wrap=True)
