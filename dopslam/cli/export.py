@@ -11,9 +11,13 @@ from cyclopts import Parameter
 def export(
     source: Path,
     *,
-    to: Annotated[Literal["mat", "deepmimo", "tum", "sigmf", "csv", "drives"], Parameter(name="--to")],
+    to: Annotated[
+        Literal["mat", "deepmimo", "tum", "sigmf", "csv", "geojson", "gltf", "ply", "mcap", "drives"],
+        Parameter(name="--to"),
+    ],
     out: Path,
     drive: int | None = None,
+    origin: str | None = None,
 ) -> None:
     """Write a dataset for other programs into a new folder.
 
@@ -23,15 +27,20 @@ def export(
         Dataset file, or folder made by 'dopslam dataset'.
     to
         mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv:
-        paths. drives: a dataset file for every drive, which slam, bound and evaluate take.
+        paths. geojson, gltf, ply: the map of every filter with its walls. mcap: its run as ROS 2 messages. drives: a dataset
+        file for every drive, which slam, bound and evaluate take.
     out
         Folder to make.
     drive
         Number of the only drive that is wanted, with --to drives.
+    origin
+        Where the world frame lies, with --to geojson: latitude,longitude[,height[,azimuth]], the azimuth that of the x axis in
+        degrees counterclockwise from east. Without it coordinates are meters.
     """
     from rich.console import Console
 
     from dopslam.formats.export import export as write
+    from dopslam.formats.geojson import Origin
 
-    files = write(source, out, to, drive)
+    files = write(source, out, to, drive, None if origin is None else Origin.parse(origin))
     Console(highlight=False, soft_wrap=True, markup=False).print(f"{out}: {len(files)} files, {files[0].name} …")

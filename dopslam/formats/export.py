@@ -1,4 +1,5 @@
-"""Datasets for other programs: MATLAB, DeepMIMO v4, TUM trajectories, SigMF, CSV; and single drives for this one.
+"""Datasets for other programs: MATLAB, DeepMIMO v4, TUM trajectories, SigMF, CSV, GeoJSON, glTF, PLY, MCAP; and single drives
+for this one.
 
 Every function takes a dataset file or a folder made by ``dopslam dataset`` and writes a new folder whole or not at all.
 """
@@ -22,6 +23,7 @@ from dopslam.datasets.drives import write_drive, write_drives
 from dopslam.datasets.parts import Part, parts_of, scenario_of
 from dopslam.datasets.tracks import Steps
 from dopslam.errors import DatasetError
+from dopslam.formats import geojson, mcap, mesh
 from dopslam.records import DetectionSeries, Kind, Landmarks, Paths, Track
 from dopslam.store import file as dataset
 
@@ -29,14 +31,18 @@ MAX_PATHS = 25  # of a receiver, in DeepMIMO
 MAX_INTERACTIONS = 10  # of a path, in DeepMIMO
 
 
-def export(source: str | Path, out: str | Path, kind: str, drive: int | None = None) -> list[Path]:
+def export(
+    source: str | Path, out: str | Path, kind: str, drive: int | None = None, origin: geojson.Origin | None = None
+) -> list[Path]:
     """Write a dataset in another format; returns the files made.
 
     Parameters
     ----------
     source : dataset file or folder
     out : folder that must not exist yet
-    kind : ``mat``, ``deepmimo``, ``tum``, ``sigmf``, ``csv``, or ``drives``: dataset files of one drive each
+    kind : ``mat``, ``deepmimo``, ``tum``, ``sigmf``, ``csv``, ``geojson``, ``gltf``, ``ply``, ``mcap``, or ``drives``: dataset files of one drive
+        each
+    origin : of the world frame on earth; ``geojson`` alone
     drive : number of the only drive that is wanted; ``drives`` alone
 
     Raises
@@ -49,13 +55,17 @@ def export(source: str | Path, out: str | Path, kind: str, drive: int | None = N
         raise DatasetError(f"{out}: exists already; remove it or name another folder with --out")
     if drive is not None and kind != "drives":
         raise DatasetError(f"--drive {drive}: goes with --to drives only")
+    if origin is not None and kind != "geojson":
+        raise DatasetError("--origin goes with --to geojson only")
     parts = parts_of(source)
     place = None
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         place = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))  # nobody else's
         place.chmod(0o755)
-        if drive is None:
+        if origin is not None:
+            geojson.write(parts, place, origin)
+        elif drive is None:
             KINDS[kind](parts, place)
         else:
             write_drive(parts, drive, place / f"drive-{drive:05d}.h5")
@@ -264,4 +274,5 @@ def _sigmf(parts: list[Part], out: Path) -> None:
 
 KINDS: dict[str, Callable[[list[Part], Path], None]] = {
     "mat": _mat, "deepmimo": _deepmimo, "tum": _tum, "sigmf": _sigmf, "csv": _csv, "drives": write_drives,
+    "geojson": geojson.write, "gltf": mesh.write_gltf, "ply": mesh.write_ply, "mcap": mcap.write,
 }  # fmt: skip
