@@ -80,16 +80,18 @@ class Floor:
         return raised
 
     def about(self, path: Geometry) -> float:
-        """Noise that is left along the worst mode of a path (one) that others have taken the place of, at least 1: what
-        these must stand out of.
+        """Noise that is left along the worst mode of a path (one) that others have taken the place of, 1 unless it is
+        significantly more: what these must stand out of.
         """
         model, raised = self.data.model, 1.0
         if model.subbands > 1 or model.weight is not None:
             return raised
         for mode, part in enumerate(model.bands[0].modes):
-            if part.size > PAIR + 1:
-                energy = np.linalg.norm(self.along(path, mode)) ** 2
-                raised = max(raised, float(energy) / ((part.size - PAIR) * self.variance))
+            free = part.size - PAIR
+            if free > 1:
+                energy = float(np.linalg.norm(self.along(path, mode)) ** 2) / self.variance
+                if 2 * energy > chi2.isf(RATE, 2 * free):
+                    raised = max(raised, energy / free)
         return raised
 
     def errors(self) -> Float:

@@ -25,15 +25,16 @@ from . import report
 from .beyond import beyond
 from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
-from .floor import LARGEST, Floor
+from .floor import Floor
 from .grids import EVERYWHERE, View, directions_in
 from .kinds import Search, search_kind
 from .noise import ENDLESS, Clock, Noise
+from .pairs import told_apart
 from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
-from .split import halves, side_lobes
+from .split import split
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,7 @@ class Nomp:
                 else:
                     accepted, more = accepted.take([]), False
             if not len(accepted) and lin is not None and len(efforts) == 1 and self.resolve:
-                resolved = self._split(data, lin, found, statistic, noise)
+                resolved = split(self, data, lin, found, statistic, noise)
                 if resolved is not None:
                     lin = resolved
                     continue
@@ -244,35 +245,6 @@ class Nomp:
         """Energy of a model's error relative to its path, as given."""
         return 0.0 if self.model_error_db is None else 10 ** (self.model_error_db / 10)
 
-    def _split(self, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise):
-        """The paths with one of them in two, if that explains its side lobes: candidates, or paths that took their
-        place; None otherwise.
-        """
-        near = found.take(np.flatnonzero(statistic > SIDE_LOBE * self.level))
-        if not len(near):
-            return None
-        lobes = [(lin.geometry, path, mode, path) for _, path, mode in side_lobes(data.model, near, lin)]
-        if statistic[0] > self.level:
-            # Something is left that no further path explains.
-            for other, path, mode in side_lobes(data.model, lin.geometry, lin):
-                rest = lin.geometry.take(np.arange(len(lin.gain)) != other)
-                lobes.append((rest, path - (other < path), mode, path))
-        variance = noise.variance(lin)
-        for paths, path, mode, whole in lobes:
-            for start in halves(data.model, paths, path, mode):
-                grown = self._eliminated(data, self._fit(data, start, noise), noise)
-                if grown is None or not self._better(grown, lin, noise):
-                    continue
-                gained = (grown.explained - lin.explained) / variance
-                strength = lin.drop[whole] / variance
-                # Two paths explain a wrong model better, too: by little of the path's own energy, and much is left.
-                given = self.error_share * strength
-                if gained > LARGEST * strength:
-                    return grown
-                if gained > given + self.level * Floor(data, grown, variance).about(lin.geometry.take([whole])):
-                    return grown
-        return None
-
     def _better(self, grown: Linearization | None, lin: Linearization | None, noise: Noise) -> bool:
         """Whether a fit is progress: it has more paths, or explains more by the worth of one with no more."""
         if grown is None or lin is None:
@@ -284,7 +256,11 @@ class Nomp:
         if lin is None:
             return report.empty(self, noise.variance(None))
         lin = self._fit(data, lin, noise, tolerance=3e-3)
-        return report.detections(self, data, lin, noise.variance(lin), noise.limited)
+        single = len(lin.gain)
+        lin, spread = told_apart(self, data, lin, noise) if self.resolve else (lin, np.zeros((single, 6, 6)))
+        if len(lin.gain) > single:
+            lin = self._fit(data, lin, noise, tolerance=3e-3)
+        return report.detections(self, data, lin, noise.variance(lin), spread, noise.limited)
 
     def _fit(
         self, data: Projector, start: Geometry | Linearization, noise: Noise, tolerance: float = 0.5
@@ -388,8 +364,6 @@ class Nomp:
         return None
 
 
-SIDE_LOBE = 0.5
-"""Candidates above this share of the threshold may be what one path leaves of two."""
 STRONG = 4.0
 """Above this multiple of the threshold the strongest candidate may be a side lobe of a path outside the searched region."""
 FAINT = 10.0

@@ -14,11 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ..signal.algebra import Blocks, project
+from ..signal.algebra import Blocks, contract_rest, project
 from ..signal.arrays import Complex
+from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .folding import Folding, Matrix, Pairs, Planes, product, project_planes
+from .folding import Folding, Matrix, Pairs, Planes, joined, product, project_planes
 from .pool import Pool
 
 HALF_WIDTH = 0.2
@@ -55,6 +56,11 @@ class Basis:
         """(W, r, n): conjugated bases of the windows about ``centers`` (W,), folded."""
         vectors = np.exp(np.outer(centers, self.rate))
         return self.pairs.steering(vectors[:, None] * self.vectors.T).conj()
+
+    def coordinates(self, offset) -> Matrix:
+        """Coordinates (..., r) of the vectors at ``offset`` (...,) from a window's center, real if the samples fold."""
+        inside = np.exp(self.rate * offset[..., None]) @ self.vectors.conj()
+        return inside.real.astype(np.float32) if self.pairs.real else inside.astype(C64)
 
     def inside(self, offset) -> Matrix:
         """Coordinates (P, 2, r) of the vectors at ``offset`` (P,) from a window's center and of their derivatives, real if
@@ -132,6 +138,36 @@ class Projector:
             time = bases.time.inside(geometry.speed - self._speeds[window])
         folded = [axis.steering(mode) for axis, mode in zip(bases.folding.arrays, rest, strict=True)]
         return project_planes(self.model, partial, [frequency, time, *folded])
+
+    def about(self, geometry: Geometry, steps: list[Float], vectors: list[Complex]) -> Complex:
+        """Inner products (P, c_0, c_1, ...) of the data with all outer products of vectors (P, c, n), one of each mode:
+        those at ``steps`` (P, c, 6) from paths, within a bin of them.
+
+        A window's subspace leaves out a thousandth of a vector half a bin from its center.
+        """
+        bases = self._bases
+        folding = Folding.build(self.model) if bases is None else bases.folding
+        first, time, *rest = vectors
+        modes = [axis.steering(v) for axis, v in zip(folding.arrays, rest, strict=True)]
+        if bases is None or bases.delay is None:
+            matrix = folding.axes[0].steering(first).conj()
+            count, points, pilots = matrix.shape
+            partial = product(matrix.reshape(-1, pilots), self.planes.reshape(2, pilots, -1))
+            partial = partial.reshape(2, count, points, -1)
+        else:
+            window = self._window_of(geometry, bases, bases.delay)
+            inside = bases.delay.coordinates((geometry.delay - self._delays[window])[:, None] + steps[0][..., 0]).conj()
+            partial = np.empty((2, *inside.shape[:2], self._windows[0].shape[2]), np.float32)
+            for p, w in enumerate(window):
+                product(inside[p], self._windows[w], partial[:, p])
+            if bases.time is not None:
+                time = bases.time.coordinates((geometry.speed - self._speeds[window])[:, None] + steps[1][..., 5])
+        if bases is None or bases.time is None:
+            time = folding.axes[1].steering(time)
+        if any(np.iscomplexobj(mode) for mode in (time, *modes)):
+            return contract_rest(joined(partial), [first, time, *modes]).astype(complex)
+        real, imag = contract_rest(partial, [first, time, *modes])
+        return real + 1j * imag.astype(float)
 
     def _window_of(self, geometry: Geometry, bases: Bases, basis: Basis):
         window = np.empty(len(geometry), int)

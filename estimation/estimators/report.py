@@ -126,14 +126,22 @@ def spread_of(model: SignalModel, errors: Float) -> Float:
 
 
 def detections(
-    estimator: Settings, data: Projector, lin: Linearization, noise_variance: float, limited: bool = False
+    estimator: Settings,
+    data: Projector,
+    lin: Linearization,
+    noise_variance: float,
+    spread: Float | None = None,
+    limited: bool = False,
 ) -> Detections:
-    """Sorted by rho, in canonical form (and the gains solved for there)."""
+    """Sorted by rho, in canonical form (and the gains solved for there); ``spread`` (P, 6, 6) of pairs (:mod:`~.pairs`)."""
     model = data.model
     if not np.any(lin.drop > 0):
         return empty(estimator, noise_variance)
+    spread = np.zeros((len(lin.gain), 6, 6)) if spread is None else spread
+    spread = spread[lin.drop > 0]
     lin = seen(data, lin)
     order = np.argsort(lin.drop)[::-1]
+    spread = spread[order]
     geometry = lin.geometry.take(order)
     plain = canonical(estimator, model, geometry)
     changed = any(np.any(getattr(plain, f.name) != getattr(geometry, f.name)) for f in fields(geometry))
@@ -143,12 +151,13 @@ def detections(
         information(unbiased(lin, snr, estimator.level, model.active), model.active) * 2 / noise_variance, model.active
     )
     residue = misfit(lin, noise_variance, model.active)
-    tangent = residue.inflated(tangent)
+    merged = residue.merged | np.any(spread, axis=(1, 2))
+    tangent = residue.inflated(tangent) + spread
     # A path's model error moves it as noise of that share of its energy would, spread over the mode it is in.
     errors = Floor(data, lin, noise_variance).errors()
     root = np.sqrt(1 + estimator.error_share * snr[:, None] + spread_of(model, errors) * snr[:, None])
     tangent = tangent * root[:, :, None] * root[:, None]
-    flags = np.where(residue.merged, np.uint8(Flag.MERGED), np.uint8(0))
+    flags = np.where(merged, np.uint8(Flag.MERGED), np.uint8(0))
     flags |= np.uint8(Flag.LIMITED if limited else 0)
     for number, (array, directions, view) in enumerate(
         (

@@ -7,17 +7,38 @@ stay below the threshold that the pair passes.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from ..signal.algebra import gram_diagonal
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .floor import LARGEST, Floor
+from .noise import Noise
+from .projector import Projector
 from .refine import Linearization, metric
+
+SIDE_LOBE = 0.5
+"""Candidates above this share of the threshold may be what one path leaves of two."""
 
 ALIKE = 0.5
 """Least normalized inner product in all modes but one that makes a candidate a side lobe of a path."""
 HALF = 0.5
 """Half the distance of the two paths that a pair is started from, in the path's metric."""
+
+
+class Fitter(Protocol):
+    """What :class:`~estimation.Nomp` does to fits."""
+
+    level: float
+    volume: float
+    parameters: int
+    error_share: float
+
+    def _fit(self, data: Projector, start: Geometry | Linearization, noise: Noise) -> Linearization: ...
+    def _eliminated(self, data: Projector, lin: Linearization, noise: Noise) -> Linearization | None: ...
+    def _better(self, grown: Linearization | None, lin: Linearization | None, noise: Noise) -> bool: ...
 
 
 def side_lobes(model: SignalModel, found: Geometry, lin: Linearization) -> list[tuple[int, int, int]]:
@@ -43,3 +64,33 @@ def halves(model: SignalModel, paths: Geometry, path: int, mode: int) -> list[Ge
         step[0, parameter] = HALF / np.sqrt(lengths[parameter, parameter])
         starts.append(paths.replaced(path, own.moved(step)).joined(own.moved(-step)))
     return starts
+
+
+def split(estimator: Fitter, data: Projector, lin: Linearization, found: Geometry, statistic, noise: Noise):
+    """The paths with one of them in two, if that explains its side lobes: candidates, or paths that took their
+    place; None otherwise.
+    """
+    near = found.take(np.flatnonzero(statistic > SIDE_LOBE * estimator.level))
+    if not len(near):
+        return None
+    lobes = [(lin.geometry, path, mode, path) for _, path, mode in side_lobes(data.model, near, lin)]
+    if statistic[0] > estimator.level:
+        # Something is left that no further path explains.
+        for other, path, mode in side_lobes(data.model, lin.geometry, lin):
+            rest = lin.geometry.take(np.arange(len(lin.gain)) != other)
+            lobes.append((rest, path - (other < path), mode, path))
+    variance = noise.variance(lin)
+    for paths, path, mode, whole in lobes:
+        for start in halves(data.model, paths, path, mode):
+            grown = estimator._eliminated(data, estimator._fit(data, start, noise), noise)
+            if grown is None or not estimator._better(grown, lin, noise):
+                continue
+            gained = (grown.explained - lin.explained) / variance
+            strength = lin.drop[whole] / variance
+            # Two paths explain a wrong model better, too: by little of the path's own energy, and much is left.
+            given = estimator.error_share * strength
+            if gained > LARGEST * strength:
+                return grown
+            if gained > given + estimator.level * Floor(data, grown, variance).about(lin.geometry.take([whole])):
+                return grown
+    return None

@@ -56,9 +56,18 @@ def project_rest(model: SignalModel, partial, modes: list[Complex]):
     """Finish a projection (..., P, 7) whose first mode is contracted already, ``partial`` (..., P, 2, product of the
     other modes); real modes of real data stay real.
     """
-    # The remaining modes one after the other, a derivative axis for each; long contiguous rows come first.
+    partial = contract_rest(partial, modes)
+    double = complex if np.iscomplexobj(partial) else float
+    return partial.astype(double)[(..., *(model.columns[row] for row in range(len(modes))))]
+
+
+def contract_rest(partial, modes: list[Complex]):
+    """Inner products (..., P, c_0, c_1, ...) with all outer products of vectors (P, c, n), one of each mode, the first of
+    which is contracted already: ``partial`` (..., P, c_0, product of the other modes).
+    """
+    # The remaining modes one after the other, an axis for each; long contiguous rows come first.
     lead = partial.shape[:-2]
-    shape = (*lead, 2)
+    shape = (*lead, partial.shape[-2])
     for mode in modes[1:]:
         single = np.complex64 if np.iscomplexobj(mode) else np.float32
         vectors = mode.conj().astype(single)
@@ -66,9 +75,7 @@ def project_rest(model: SignalModel, partial, modes: list[Complex]):
         partial = np.matmul(vectors[:, None], partial)
         shape += (mode.shape[1],)
         partial = partial.reshape(*lead, -1, partial.shape[-1])
-    partial = partial.reshape(shape)
-    double = complex if np.iscomplexobj(partial) else float
-    return partial.astype(double)[(..., *(model.columns[row] for row in range(len(modes))))]
+    return partial.reshape(shape)
 
 
 def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain: bool = False) -> Complex:

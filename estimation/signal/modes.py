@@ -44,6 +44,10 @@ class Mode(Protocol):
         """Vector and derivatives (P, 1 + c, n); ``scale`` is the sub-band's frequency over the carrier."""
         ...
 
+    def vector(self, geometry: Geometry) -> Complex:
+        """The vector alone (P, n), at the carrier."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class DelayMode:
@@ -64,6 +68,10 @@ class DelayMode:
         vector = np.exp(rate * geometry.delay[:, None])
         return np.stack([vector, rate * vector], axis=1)
 
+    def vector(self, geometry: Geometry) -> Complex:
+        """The vector alone (P, K)."""
+        return np.exp(-2j * np.pi * self.frequencies * geometry.delay[:, None])
+
 
 @dataclass(frozen=True, eq=False)
 class ReceiveMode:
@@ -82,6 +90,10 @@ class ReceiveMode:
         """Vector and two tangent derivatives, (P, 3, N_R)."""
         return _block(self.array, geometry.arrival, scale)
 
+    def vector(self, geometry: Geometry) -> Complex:
+        """The vector alone (P, N_R)."""
+        return self.array.response(geometry.arrival)[0]
+
 
 @dataclass(frozen=True, eq=False)
 class TransmitMode:
@@ -99,6 +111,10 @@ class TransmitMode:
     def evaluate(self, geometry: Geometry, scale: float = 1.0) -> Complex:
         """Vector and two tangent derivatives, (P, 3, N_T)."""
         return _block(self.array, geometry.departure, scale).conj()
+
+    def vector(self, geometry: Geometry) -> Complex:
+        """The vector alone (P, N_T)."""
+        return self.array.response(geometry.departure)[0].conj()
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +177,17 @@ class TimeMode:
             (rate * timed[:, :1])[..., None] * ports[:, :1],
         ]
         return np.concatenate(columns, axis=1).reshape(len(geometry), 1 + len(self.parameters), self.size)
+
+    def vector(self, geometry: Geometry) -> Complex:
+        """The vector alone (P, N * M)."""
+        timed = np.exp(2j * np.pi / self.wavelength * self.times * geometry.speed[:, None])
+        if self.transmitter is not None:
+            sent = self.transmitter.response(geometry.departure)[0].conj() @ self.precoders.T
+            timed = timed * sent[:, self.precoder_index]
+        if self.receiver is None:
+            return timed
+        ports = np.tensordot(self.receiver.response(geometry.arrival)[0], self.combiners, axes=(1, 2))
+        return (timed[:, :, None] * ports[:, self.combiner_index]).reshape(len(geometry), self.size)
 
 
 def _block(array: Manifold, directions: Float, scale: float) -> Complex:

@@ -1,0 +1,245 @@
+"""Pairs that one path was fitted to, in phase or not.
+
+Two paths less than a resolution cell apart leave of their common fit what no move and no gain of it explains: out of phase
+the first, in phase the second derivative of the signature. Both are what a second path nearby would find in the residual,
+once it has paid for what the fitted one explains as well. So every path of a converged fit is tested at points about it,
+the products of a few in each mode, by a score test (one pass over the data for all points of all paths); where that is
+high, two paths are fitted. Points about a path are few beside those of a whole search, and so is the evidence that is due:
+a threshold for the volume of one lobe. A pair that passes it is reported as two paths; one that almost does as one path,
+with a covariance grown by the spread of the two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import gamma, pi
+
+import numpy as np
+
+from ..signal.algebra import normalized, weighted_blocks
+from ..signal.directions import Float
+from ..signal.model import SignalModel
+from ..signal.modes import Mode
+from ..signal.paths import Geometry
+from .cells import ring
+from .detect import expected_maxima, threshold_for
+from .floor import LARGEST, Floor
+from .lobes import RADIUS, great_circle
+from .noise import Noise
+from .projector import Projector
+from .refine import Linearization, information, metric
+from .split import Fitter
+
+APART = 0.8
+"""Distance of the tested points from a path along each mode, in its metric; a lobe ends near 3."""
+SUSPECT = 8.5
+"""Least score that a pair is fitted for; one clean path in twenty-five has more."""
+TOLD = 0.005
+"""Probability that a single path counts as a pair."""
+BLUR = 2.0
+"""Variance of the direction in which a pair is apart, in units of the inverse gain in log-likelihood."""
+SEPARATE = 4.0
+"""Least distance of a reported pair in standard deviations: of what is only out of phase, amplitude and place are one."""
+FARTHEST = 3.5
+"""Paths farther apart than this in the metric are no pair of one lobe."""
+NEIGHBOR = 0.1
+"""Least coherence of paths whose own moves are reckoned with."""
+CROWD = 3
+"""At most so many of them, the most coherent ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """The best point about each path.
+
+    Attributes
+    ----------
+    statistic : (P,) log-likelihood that a second path there would gain
+    step : (P, 6) from the path to it, on the tangents
+    """
+
+    statistic: Float
+    step: Float
+
+
+def local_level(rate: float, parameters: int) -> float:
+    """Threshold on a gain in log-likelihood that a second path within a lobe of a known one finds in noise at ``rate``."""
+    ball = pi ** (parameters / 2) / gamma(parameters / 2 + 1) * RADIUS**parameters
+    return threshold_for(rate, 2 * pi * ball, parameters)
+
+
+def points_about(modes: tuple[Mode, ...], lengths: Float, active) -> list[Float]:
+    """Tangent steps (P, c, 6) per mode to a path itself and to points about it."""
+    diagonal = np.einsum("paa->pa", lengths)
+    line = np.where(diagonal > 0, APART / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    steps = []
+    for mode in modes:
+        total = np.zeros((len(lengths), 1, 6))
+        for first in mode.parameters:
+            if first in (0, 5):
+                part = np.zeros((len(lengths), 3, 6))
+                part[:, 1, first], part[:, 2, first] = line[:, first], -line[:, first]
+            elif first in (1, 3):
+                # Modes that tell both directions have many points anyway.
+                around = slice(first, first + 2)
+                part = ring(lengths[:, around, around], APART, active[around], 6 if len(mode.parameters) < 5 else 4)
+                part = np.pad(part, ((0, 0), (0, 0), (first, 4 - first)))
+            else:
+                continue
+            total = (total[:, :, None] + part[:, None]).reshape(len(lengths), -1, 6)
+        steps.append(total)
+    return steps
+
+
+def suspects(data: Projector, lin: Linearization, noise_variance: float) -> Suspects:
+    """Score test for a second path about each one of a converged fit."""
+    model, count = data.model, len(lin.gain)
+    lengths = metric(np.moveaxis(np.diagonal(lin.gram, axis1=0, axis2=2), -1, 0), model.active)
+    modes = model.bands[0].modes
+    steps = points_about(modes, lengths, model.active)
+    vectors = []
+    for mode, step in zip(modes, steps, strict=True):
+        points = lin.geometry.take(np.repeat(np.arange(count), step.shape[1])).moved(step.reshape(-1, 6))
+        vectors.append(mode.vector(points).reshape(*step.shape[:2], -1))
+    inner = data.about(lin.geometry, steps, vectors)
+    shape = inner.shape[1:]
+    known = weighted_blocks(model, lin.blocks)[0]
+    inner = inner.reshape(count, -1) - outer_grams(vectors, [b[None, :, :1] for b in known], model)[..., 0] @ lin.gain
+    own = [v if row or model.weight is None else v @ model.weight.T for row, v in enumerate(vectors)]
+    norm = _products([np.einsum("pcn,pcn->pc", v.conj(), w).real for v, w in zip(vectors, own, strict=True)])
+    scores = np.empty(norm.shape)
+    for paths, near in neighbors(lin):
+        cross = outer_grams([v[paths] for v in vectors], [b[near] for b in known], model)
+        scores[paths] = score(lin, near, cross, inner[paths], norm[paths], model.active)
+    best = np.argmax(scores, axis=1)
+    every = np.arange(count)
+    step = sum(s[every, i] for s, i in zip(steps, np.unravel_index(best, shape), strict=True))
+    return Suspects(scores[every, best] / noise_variance, step)
+
+
+def neighbors(lin: Linearization) -> list[tuple[np.typing.NDArray[np.intp], np.typing.NDArray[np.intp]]]:
+    """Paths (B,), and each with those whose moves may be confused with its own (B, Q); equal Q together."""
+    overlap = normalized(lin.gram[:, 0, :, 0]) + np.eye(len(lin.gain))
+    order = np.argsort(-overlap, axis=1)
+    close = np.minimum(np.sum(overlap > NEIGHBOR, axis=1), 1 + CROWD)
+    return [(paths, order[paths, :size]) for size in np.unique(close) for paths in [np.flatnonzero(close == size)]]
+
+
+def score(lin: Linearization, near, cross, inner, norm, active) -> Float:
+    """Log-likelihood (B, I), in energies, that a second path at points about each of B paths gains to first order in its
+    gain, the paths ``near`` (B, Q) free to move and the others not.
+
+    ``cross`` (B, I, Q, 7) are inner products of the points' signatures with the known signatures and their derivatives,
+    ``inner`` (B, I) those with the residual, ``norm`` (B, I) their energies.
+    """
+    columns = 1 + np.flatnonzero(active)
+    many, count = near.shape
+    size = count * len(columns)
+    gram = lin.gram[near[:, :, None], :, near[:, None, :]]  # (B, Q, Q, 7, 7)
+    plain = gram[..., 0, 0]
+    mixed = gram[:, :, :, 0][..., columns].reshape(many, count, size)
+    full = gram[..., columns, :][..., columns].transpose(0, 1, 3, 2, 4).reshape(many, size, size)
+    diagonal = np.einsum("bqq->bq", plain).real
+    inverse = np.linalg.inv(plain + 1e-9 * diagonal[:, :, None] * np.eye(count))
+    weight = np.repeat(lin.gain[near], len(columns), axis=1)
+    # What the known signatures can explain goes first, by complex gains; then what moving them can, by real steps.
+    share = cross[..., 0] @ inverse
+    own = np.maximum(norm - np.einsum("biq,biq->bi", share, cross[..., 0].conj()).real, 0)
+    tangent = full - mixed.conj().swapaxes(1, 2) @ inverse @ mixed
+    tangent = np.real(tangent * weight.conj()[:, :, None] * weight[:, None])
+    along = (cross[..., columns].reshape(*norm.shape, size) - share @ mixed) * weight[:, None]
+    diagonal = np.einsum("baa->ba", tangent)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    tangent = np.linalg.inv(tangent * scale[:, :, None] * scale[:, None] + 1e-9 * np.eye(size))
+    real, imag = along.real * scale[:, None], along.imag * scale[:, None]
+    left = (lin.gradient[near][..., columns - 1].reshape(many, size) * scale)[..., None]
+    moved = real @ tangent, imag @ tangent
+    first, second = inner.real - (moved[0] @ left)[..., 0], inner.imag - (moved[1] @ left)[..., 0]
+    a = own - np.einsum("bia,bia->bi", moved[0], real)
+    b = own - np.einsum("bia,bia->bi", moved[1], imag)
+    c = -np.einsum("bia,bia->bi", moved[0], imag)
+    determinant = a * b - c**2
+    told = determinant > 1e-4 * norm**2
+    gained = (b * first**2 - 2 * c * first * second + a * second**2) / np.where(told, determinant, 1.0)
+    return np.where(told, gained, 0.0)
+
+
+def outer_grams(vectors, blocks, model: SignalModel):
+    """Inner products (P, I, Q, 1 or 7) of all outer products of vectors (P, c, n), one of each mode, with signatures and
+    derivatives in blocks (P or 1, Q, d, n).
+    """
+    columns = model.columns if blocks[0].shape[2] > 1 else np.zeros((len(blocks), 1), int)
+    total = np.ones((1, 1, 1, 1))
+    for row, (own, other) in enumerate(zip(vectors, blocks, strict=True)):
+        _, count, _, size = other.shape
+        part = own.conj() @ other.reshape(len(other), -1, size).swapaxes(1, 2)
+        part = part.reshape(len(own), own.shape[1], count, -1)[..., columns[row]]
+        total = (total[:, :, None] * part[:, None]).reshape(len(own), -1, count, columns.shape[1])
+    return total
+
+
+def _products(factors):
+    total = np.ones((1, 1))
+    for factor in factors:
+        total = (total[:, :, None] * factor[:, None]).reshape(len(factor), -1)
+    return total
+
+
+def separated(lin: Linearization, path: int, apart: Float, active, noise_variance: float) -> float:
+    """Squared distance of a path from the last one, ``apart`` (6,) tangent steps, in terms of its covariance."""
+    seen = np.tile(np.asarray(active, bool), len(lin.gain))
+    matrix = information(lin, active)[np.ix_(seen, seen)] * 2 / noise_variance
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    size = int(np.sum(active))
+    to = np.zeros((size, len(matrix)))
+    to[:, path * size : (path + 1) * size], to[:, -size:] = -np.eye(size), np.eye(size)
+    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    covariance = (to * scale) @ inverse @ (to * scale).T
+    unit = 1 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    step = apart[np.asarray(active, bool)] * unit
+    return float(step @ np.linalg.solve(covariance * np.outer(unit, unit) + 1e-9 * np.eye(size), step))
+
+
+def steps_between(start: Geometry, end: Geometry) -> Float:
+    """Tangent steps (P, 6) from paths to others."""
+    return np.column_stack([
+        end.delay - start.delay,
+        great_circle(start.arrival, end.arrival),
+        great_circle(start.departure, end.departure),
+        end.speed - start.speed,
+    ])  # fmt: skip
+
+
+def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise) -> tuple[Linearization, Float]:
+    """A converged fit with its pairs in two, and of those that cannot be told apart the spread (P, 6, 6): the second moment
+    of the two about one path, on its tangents, 0 for single paths.
+    """
+    model, spread = data.model, np.zeros((len(lin.gain), 6, 6))
+    if model.subbands > 1 or not model.active.any():
+        return lin, spread
+    variance = noise.variance(lin)
+    rate = min(float(expected_maxima(estimator.level, estimator.volume, estimator.parameters)), 0.01)
+    pair, told = (local_level(r, estimator.parameters) for r in (max(0.1 * rate, 1e-12), TOLD))
+    found = suspects(data, lin, variance)
+    for path in np.argsort(-found.statistic):
+        if found.statistic[path] < SUSPECT:
+            break
+        one = lin.geometry.take([path])
+        grown = estimator._fit(data, lin.geometry.joined(one.moved(found.step[[path]])), noise)
+        gained = (grown.explained - lin.explained) / variance
+        two = grown.geometry.take([path, -1])
+        lengths = metric(lin.gram[path, :, path], model.active)
+        apart = steps_between(two.take([0]), two.take([1]))[0] * model.active
+        if gained < told or apart @ lengths @ apart > FARTHEST**2:
+            continue
+        strength = lin.drop[path] / variance
+        needed = pair * Floor(data, grown, variance).about(one) + estimator.error_share * strength
+        separation = separated(grown, path, apart, model.active, variance)
+        if separation > SEPARATE**2 and gained > min(needed, max(LARGEST * strength, pair)):
+            lin, spread = grown, np.concatenate([spread, np.zeros((1, 6, 6))])
+            continue
+        share = grown.gain[-1] / (grown.gain[path] + grown.gain[-1])
+        # What barely shows has a direction as uncertain: in the path's metric, some of the spread goes everywhere.
+        everywhere = np.linalg.pinv(lengths, rcond=1e-9, hermitian=True) * (apart @ lengths @ apart) * BLUR / gained
+        spread[path] = abs(share * (1 - share)) * (np.outer(apart, apart) + everywhere)
+    return lin, spread
