@@ -19,11 +19,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1000, help="of the first run")
     parser.add_argument("--filters", nargs="+", default=["batch"])
+    parser.add_argument("--noise", choices=["given", "scaled"], default="scaled", help="of batch")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.runs)
     for name in options.filters:
-        runs = Parallel(n_jobs=options.jobs)(delayed(judged)(seed, FILTERS[name]()) for seed in seeds)
+        chosen = FILTERS[name](**({"noise": options.noise} if name == "batch" else {}))
+        runs = Parallel(n_jobs=options.jobs)(delayed(judged)(seed, chosen) for seed in seeds)
         print(name, summarize(list(runs)))
 
 

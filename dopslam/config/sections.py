@@ -58,6 +58,7 @@ class BaseStation(Frozen):
 
     position: Vector3
     yaw_deg: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
+    yaw_std_deg: Annotated[float, Field(ge=0, le=45)] = 0.0  # how well it is known; only with filter.start = "snapshot"
     array: ArrayConfig
 
 

@@ -146,6 +146,7 @@ def problem(scenario: Scenario, reading: str = "std") -> Problem:
         survival=config.survival,
         doppler_limit=doppler_limit(scenario),
         snapshot=config.start == "snapshot",
+        yaw_std=float(np.deg2rad(scenario.base_station.yaw_std_deg)),
         restart=config.restart,
     )
 

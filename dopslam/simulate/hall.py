@@ -26,6 +26,7 @@ HEIGHT = 1.5  # m, of receiver, base station and everything else: the plane
 TAIL = 3.0  # degrees of freedom of the angle errors
 YAW_OFF = np.deg2rad(1.5)
 REACH = 100.0  # m, width of the delays that are searched
+DOPPLER = 2.0  # m/s, of the search that none was measured in
 STRIDE = 0.55  # m between positions, on average
 CLOCK_WALK = 0.15  # m per position
 
@@ -181,7 +182,7 @@ def _detected(rng, state: Array, landmarks: Landmarks, station: Array, seen) -> 
     told_factor = float(rng.choice([0.5, 2.0]))  # of the covariance
     exact = measure(state[:, None], landmarks.position, landmarks.kind.astype(np.int64), station, height=HEIGHT)
     double = landmarks.order == 2
-    widths = np.array([REACH, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 4.0])
+    widths = np.array([REACH, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 2 * DOPPLER])
     unseen = unmeasured.deviation(widths)
     z, std, label, counts = [], [], [], []
     for k in range(steps):

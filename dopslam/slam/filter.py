@@ -28,6 +28,7 @@ from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
 from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
+from dopslam.slam.orientation import turnable
 from dopslam.slam.snapshot import start as snapshot
 
 
@@ -48,6 +49,7 @@ class Problem:
     survival : p_S of a landmark per step
     doppler_limit : m/s; largest radial velocity that detections can have, the width of clutter in Doppler
     snapshot : whether the start is found from the scans alone, and mean and covariance are withheld
+    yaw_std : rad, standard deviation of the base stations' orientation; only where the start is found from the scans
     restart : whether a filter that has lost its receiver, by its own history, is started anew from the scans
     """
 
@@ -62,6 +64,7 @@ class Problem:
     survival: float = 1.0
     doppler_limit: float = 25.0
     snapshot: bool = False
+    yaw_std: float = 0.0
     restart: bool = False
 
     def __post_init__(self) -> None:
@@ -198,8 +201,10 @@ def run(
 
     # A start from the scans alone needs a constant period.
     if not problem.restart or scans.interval is not None:
-        return go(problem, scans)
-    return restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
+        history, told = go(problem, scans)
+    else:
+        history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
+    return (turnable(history, problem.anchor, problem.yaw_std) if problem.yaw_std else history), told
 
 
 def started(problem: Problem, scans: Scans, doppler: bool) -> Problem:
@@ -218,6 +223,11 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
             f"{chosen!r} is not a filter: it needs 'capabilities', 'init' and 'step' (see dopslam.slam.filter)"
         )
     name, able = type(chosen).__name__, chosen.capabilities
+    if problem.yaw_std and not problem.snapshot:
+        raise FilterError(
+            "an uncertain orientation of the base station (base_station.yaw_std_deg) counts where nothing is told of the "
+            'start: set filter.start = "snapshot", or leave it out'
+        )
     if problem.motion.dimension not in able.states:
         raise FilterError(
             f"{name} carries {' or '.join(map(str, able.states))} states, the motion model has {problem.motion.dimension}; "

@@ -19,7 +19,7 @@ from dopslam.evaluate.recursion import LinearizedRun, smoothing
 from dopslam.models.measurement import BS, SR, jacobians
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import from_detections
-from dopslam.simulate.hall import HEIGHT, TAIL, YAW_OFF, Hall, measured_hall
+from dopslam.simulate.hall import DOPPLER, HEIGHT, TAIL, YAW_OFF, Hall, measured_hall
 from dopslam.slam.filter import Filter, Problem, run
 
 Array = NDArray[np.float64]
@@ -52,10 +52,12 @@ class Run:
 
 
 def problem_of(hall: Hall) -> Problem:
-    """What a filter is told: the base station, and that the receiver walks."""
+    """What a filter is told: the base station, its orientation to 1.5°, and that the receiver walks."""
     motion = CoordinatedTurn(1.0, np.diag(WALK**2))
     wide = np.diag([1e3, 1e3, 10.0, 1e3]) ** 2
-    return Problem(hall.stations, np.zeros(4), wide, motion, height=HEIGHT, snapshot=True)
+    return Problem(
+        hall.stations, np.zeros(4), wide, motion, height=HEIGHT, doppler_limit=DOPPLER, snapshot=True, yaw_std=YAW_OFF
+    )
 
 
 def bound_of(hall: Hall) -> Array:

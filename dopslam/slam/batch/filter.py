@@ -20,7 +20,7 @@ from dopslam.models.scans import Scans
 from dopslam.slam.batch.grow import Locate, grow
 from dopslam.slam.batch.result import Rerun, diagnostics_of, history_of
 from dopslam.slam.batch.rows import Map, rows_of
-from dopslam.slam.batch.smoother import Choices, smooth
+from dopslam.slam.batch.smoother import Choices, scaled, smooth
 from dopslam.slam.batch.track import KNOWN, Chain
 from dopslam.slam.filter import Capabilities, Problem
 from dopslam.slam.history import Diagnostics, History
@@ -58,6 +58,10 @@ class Batch(Rerun):
     noise: Literal["given", "scaled"] = "given"
     rounds: int = 12
 
+    def __post_init__(self) -> None:
+        if self.noise not in ("given", "scaled"):
+            raise FilterError(f'batch: noise {self.noise!r} must be "given" or "scaled"')
+
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
         """Smooth a whole run.
 
@@ -71,7 +75,7 @@ class Batch(Rerun):
         information = np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension))
         if problem.snapshot:
             information[:POSE], information[:, :POSE] = 0.0, 0.0
-        choices, result, failure = Choices(self.noise, self.rounds), None, None
+        choices, result, failure = Choices(self.rounds), None, None
         if not problem.snapshot:
             chain = Chain(motion, np.asarray(problem.mean, float), information)
             try:
@@ -91,6 +95,8 @@ class Batch(Rerun):
             except FilterError as error:
                 if result is None:
                     raise failure or error from error
+        if self.noise == "scaled":
+            result = scaled(data, chain, result, choices)
         return history_of(data, result), diagnostics_of(data, result)
 
 

@@ -3,8 +3,8 @@
 A detection whose residual has squared Mahalanobis length d² over m rows has density Σ_c p_c s_c^{−m/2} exp(−d²/2s_c)
 in units of N(0; 0, R). Its weight in the normal equations is the mean of 1/s under the probabilities of the scales
 given d²: one for ordinary detections, so that nothing is lost where R is right (a Student-t would weigh the ordinary
-ones too), and small for outliers. Learned shares of a fine grid of scales are the empirical-Bayes answer to covariances
-that are wrong as a whole and to heavy tails alike.
+ones too), and small for outliers. Where R is not to be believed, the scales are those of a Student-t with the factor on R
+and the tail that the residuals speak for.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from dopslam.errors import FilterError
 
@@ -44,6 +45,19 @@ class Scales:
         total = part.sum(axis=-1)
         return top[..., 0] + np.log(total), (part @ (1 / self.scale)) / total
 
+    def information(self, square: Array, rows: Array) -> Array:
+        """(N,) information of each detection in units of R⁻¹, the mean over directions of the observed one (Louis 1982):
+        E[1/s] − Var[1/s] d²/m under the probabilities of the scales given d².
+
+        The weight E[1/s] alone, right for the next step, counts what is known of the scales only from the residual itself.
+        """
+        terms = self._terms(square, rows)
+        part = np.exp(terms - terms.max(axis=-1, keepdims=True))
+        part /= part.sum(axis=-1, keepdims=True)
+        weight = part @ (1 / self.scale)
+        variance = part @ (1 / self.scale**2) - weight**2
+        return np.maximum(weight - variance * np.asarray(square) / np.maximum(rows, 1), 0.1 * weight)
+
     @property
     def usual(self) -> float:
         """The median of the scales that are met."""
@@ -55,22 +69,28 @@ class Scales:
         """The mean weight of a detection."""
         return float(self.share @ (1 / self.scale))
 
-    def learned(self, square: Array, rows: Array, strength: float = 2.0) -> Scales:
-        """Shares from residuals, by expectation and maximization; a Dirichlet prior of `strength` observations holds
-        those that nothing speaks for."""
-        mixture = self
-        for _ in range(20):
-            terms = mixture._terms(square, rows)
-            probability = np.exp(terms - terms.max(axis=-1, keepdims=True))
-            probability /= probability.sum(axis=-1, keepdims=True)
-            count = probability.sum(axis=0) + strength / len(self.scale)
-            mixture = Scales(self.scale, count / count.sum())
-        return mixture
-
     def _terms(self, square: Array, rows: Array) -> Array:
         square, rows = np.asarray(square)[..., None], np.asarray(rows)[..., None]
         return np.log(self.share) - 0.5 * square / self.scale - 0.5 * rows * np.log(self.scale)
 
 
 GIVEN = Scales(np.array([1.0, 9.0, 100.0]), np.array([0.95, 0.04, 0.01]))
-GRID = Scales(np.array([0.25, 0.5, 1, 2, 4, 8, 16, 64, 256]), np.array([1, 2, 8, 4, 2, 1, 1, 0.5, 0.5]) / 20)
+FREEDOM = (3.0, 6.0, 12.0, 48.0)  # of the Student-t errors that are tried
+FACTORS = 2.0 ** np.arange(-4, 4.01, 0.25)  # on R, likewise
+PARTS = 9  # scales that stand for a Student-t
+
+
+def student(freedom: float, factor: float) -> Scales:
+    """Student-t errors of some degrees of freedom and covariance factor·R in the middle: scales factor·ν/χ²_ν."""
+    middle = (np.arange(PARTS) + 0.5) / PARTS
+    return Scales(factor * freedom / chi2.ppf(middle, freedom), np.full(PARTS, 1 / PARTS))
+
+
+def learned(square: Array, rows: Array) -> Scales:
+    """The Student-t that squared residuals (N,) over `rows` (N,) rows speak for most.
+
+    One factor and one tail for all: a free mixture would give the detections that the fit happens to hit a covariance of
+    nothing, and the next fit would hit them the better.
+    """
+    tried = [student(freedom, factor) for freedom in FREEDOM for factor in FACTORS]
+    return max(tried, key=lambda scales: float(scales.weigh(square, rows)[0].sum()))

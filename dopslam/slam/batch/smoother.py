@@ -7,7 +7,6 @@ that the detections do not speak for are dropped, and what no landmark explains 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,11 @@ from numpy.typing import NDArray
 from dopslam.errors import FilterError
 from dopslam.slam.batch.associate import associate
 from dopslam.slam.batch.landmarks import LEAST, Belief, believe, decide_kinds, merge, vote
-from dopslam.slam.batch.noise import GIVEN, GRID, Scales
+from dopslam.slam.batch.noise import GIVEN, Scales, learned
 from dopslam.slam.batch.rows import Map, Rows, uniform
 from dopslam.slam.batch.track import Chain, Estimate, optimize
+
+OFTEN = 10  # detections of a landmark whose residuals tell of the noise
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -29,19 +30,15 @@ class Choices:
 
     Attributes
     ----------
-    noise : "given" or "scaled"
-        Whether the covariances of the detections are taken as they are (with rare outliers), or scaled by what the
-        residuals say.
     rounds : int
         Most rounds of association.
     """
 
-    noise: Literal["given", "scaled"] = "given"
     rounds: int = 12
 
     def __post_init__(self) -> None:
-        if self.noise not in ("given", "scaled") or self.rounds < 1:
-            raise FilterError(f'batch: noise {self.noise!r} must be "given" or "scaled", rounds {self.rounds} ≥ 1')
+        if self.rounds < 1:
+            raise FilterError(f"batch: rounds {self.rounds} must be 1 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +74,28 @@ def smooth(
 ) -> Smoothed:
     """Rounds from a track (K + 1, n) with covariances (K + 1, n, n) until the association stands."""
     found = only_stations(data) if found is None else only_stations(data).joined(found)
-    noise = GIVEN if choices.noise == "given" else GRID
+    return _rounds(data, chain, state, covariance, choices, found)
+
+
+def scaled(data: Rows, chain: Chain, result: Smoothed, choices: Choices) -> Smoothed:
+    """More rounds from a result with the covariances as given, in which it is learned how far they are wrong.
+
+    Only then: residuals of a track that is still wrong tell of the track.
+    """
+    estimate = result.estimate
+    return _rounds(data, chain, estimate.state, estimate.covariance, choices, estimate.found, result)
+
+
+def _rounds(
+    data: Rows,
+    chain: Chain,
+    state: Array,
+    covariance: Array,
+    choices: Choices,
+    found: Map,
+    given: Smoothed | None = None,
+) -> Smoothed:
+    noise = GIVEN if given is None else _learned(data, given.estimate, given.owner)
     owner, done, settled = np.full(len(data.z), -2), 0, False
     while done < choices.rounds and not settled:
         done += 1
@@ -86,9 +104,9 @@ def smooth(
         found, owner, evidence = _associated(data, belief, found)
         estimate = optimize(data, chain, noise, owner, state, found)
         state, covariance, found = estimate.state, estimate.covariance, estimate.found
-        if choices.noise == "scaled":
-            noise = _learned(data, noise, estimate, owner)
         settled = np.array_equal(owner, before)
+        if given is not None and not settled:
+            noise = _learned(data, estimate, owner)
     return Smoothed(estimate, owner, evidence, noise, _score(data, estimate, owner), done)
 
 
@@ -112,13 +130,21 @@ def _kept(found: Map, owner: Index, base: int, evidence: Array) -> tuple[Map, In
     return found.take(good), np.where(owner >= 0, number[owner], -1), evidence[good]
 
 
-def _learned(data: Rows, noise: Scales, estimate: Estimate, owner: Index) -> Scales:
+def _learned(data: Rows, estimate: Estimate, owner: Index) -> Scales:
+    """Scales from the residuals of what is seen often: a landmark of three detections is fitted to their errors."""
+    base = len(data.stations)
     rows = np.flatnonzero(owner >= 0)
+    count = np.bincount(owner[rows], minlength=len(estimate.found))
+    often = (count >= OFTEN) | (np.arange(len(count)) < base)
+    if count[often].sum() >= 0.3 * len(rows):
+        rows = rows[often[owner[rows]]]
     used = data.used_by(rows, estimate.found.kind[owner[rows]]).sum(axis=1)
-    # Residuals are smaller than errors by what the fit took: as many rows as there are unknowns.
-    free = 4 * data.steps + 3 * (len(estimate.found) - len(data.stations))
+    # Residuals are smaller than errors by what the fit took: as many rows as there are unknowns, those of the track
+    # in proportion.
+    seen = np.unique(owner[rows])
+    free = 4 * data.steps * count[seen].sum() / count.sum() + (2 if data.flat else 3) * np.sum(seen >= base)
     shrink = max(1.0 - free / max(used.sum(), 1), 0.3)
-    return noise.learned(estimate.square[rows] / shrink, used)
+    return learned(estimate.square[rows] / shrink, used)
 
 
 def _score(data: Rows, estimate: Estimate, owner: Index) -> float:

@@ -2,7 +2,7 @@
 
 Costs: −log of the mixture of scales at each detection's whitened residual, ½ squared lengths of the motion's residuals
 and of the prior's, one step before the first scan. A mixture's cost is lowered by weighted least squares with its
-weights at the point reached (Dempster, Laird and Rubin 1980), a term's share in the information of the optimum likewise.
+weights at the point reached (Dempster, Laird and Rubin 1980); the information of the optimum is the observed one.
 """
 
 from __future__ import annotations
@@ -198,7 +198,8 @@ def optimize(
                 break
     density = np.sum(error**2, axis=1)
     weight = noise.weigh(density, sight.count)[1]
-    last = solve(sight.order, _normal(data, sight, chain, state, linear, error, weight), spread=True)
+    told = noise.information(density, sight.count)
+    last = solve(sight.order, _normal(data, sight, chain, state, linear, error, told), spread=True)
     if last is None:
         raise FilterError("batch: the information of the run is singular; give a prior, or detections with angles")
     spread = np.concatenate([found.covariance[:base], last.point_covariance])

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from dopslam.errors import FilterError
 from dopslam.models.measurement import measure, residual
 from dopslam.models.motion import propagate
-from dopslam.slam.batch.noise import GIVEN, GRID, Scales
+from dopslam.slam.batch.noise import GIVEN, Scales, learned, student
 from dopslam.slam.batch.rows import Map
 from dopslam.slam.batch.track import optimize
 
@@ -88,13 +88,33 @@ def test_a_landmark_without_a_detection_is_named(drive):
         optimize(drive.data, drive.chain, PLAIN, np.where(owner == 2, -1, owner), drive.state, found)
 
 
-def test_shares_are_learned_from_residuals():
+@pytest.mark.parametrize(("freedom", "factor"), [(3.0, 2.0), (6.0, 0.5), (48.0, 4.0)])
+def test_factor_and_tail_are_learned_from_residuals(freedom, factor):
     rng = np.random.default_rng(1)
-    square = 2.0 * rng.chisquare(5, 4000)
-    square[:400] *= 32
-    learned = GRID.learned(square, np.full(4000, 5))
-    assert learned.usual == 2.0
-    assert learned.share[learned.scale >= 32].sum() == pytest.approx(0.1, abs=0.02)
+    rows = rng.integers(3, 6, 4000)
+    square = rng.choice(student(freedom, factor).scale, 4000) * rng.chisquare(rows)
+    found = learned(square, rows)
+    assert any(
+        np.array_equal(found.scale, student(freedom, f).scale) for f in factor * 2.0 ** np.arange(-0.25, 0.3, 0.25)
+    )
+
+
+def test_information_is_the_curvature_of_the_cost():
+    """Observed information against differences of the score, averaged over directions."""
+    scales, rows, step = student(3.0, 2.0), 3, 1e-4
+    for square in (0.5, 4.0, 9.0):
+        at = np.sqrt(square)
+
+        def cost(x):
+            return -scales.weigh(np.array([x]), np.array([rows]))[0][0]
+
+        along = (cost((at + step) ** 2) - 2 * cost(square) + cost((at - step) ** 2)) / step**2
+        across = 2 * (cost(square + step**2) - cost(square)) / step**2
+        expected = (along + (rows - 1) * across) / rows
+        assert scales.information(np.array([square]), np.array([rows]))[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_the_noise_is_known_to_be():
     density, weight = GIVEN.weigh(np.array([5.0, 500.0]), np.array([6, 6]))
     assert weight[0] == pytest.approx(1, abs=0.02)
     assert weight[1] < 0.02
