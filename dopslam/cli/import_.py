@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from dopslam.cli.common import Settings, overrides
+
+if TYPE_CHECKING:
+    from dopslam.config.scenario import Scenario
 
 
 def import_(
@@ -36,12 +39,19 @@ def import_(
     settings
         Override a scenario key, for instance --set track.speed=0.
     """
+    from dataclasses import replace
+
+    import numpy as np
     from rich.console import Console
 
+    from dopslam.config import trackfile
+    from dopslam.config.measured import Shown
     from dopslam.config.scenario import load
     from dopslam.datasets import tracks
     from dopslam.errors import DatasetError
     from dopslam.formats import table as foreign
+    from dopslam.formats.shown import shown_by
+    from dopslam.formats.times import period_of
     from dopslam.pipeline import problem as build
     from dopslam.store import file as dataset
 
@@ -49,20 +59,26 @@ def import_(
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
     rule = foreign.read_mapping(mapping)
     kind = "traced" if foreign.knows_snr(rule) else "model"
-    flags = overrides(settings)
     columns = foreign.read_table(table, list(rule.columns.values()))
-    flags = [*flags, *_told_by(columns, rule, load(scenario, [f"source.kind={kind}", *flags]), flags)]
-    world = load(scenario, [f"source.kind={kind}", *flags])
-    truth = None
+    period = None if "step" in rule.columns else period_of(columns[rule.columns["time"]])
+
+    def world_of(shown: Shown, *more: str) -> Scenario:
+        return load(scenario, [f"source.kind={kind}", *flags, *more], replace(shown, period=period))
+
+    flags = overrides(settings)
+    flags = [*flags, *_told_by(period, world_of(Shown()), flags)]
+    world, truth = world_of(Shown()), None
     if track is not None:
-        own = load(
-            scenario,
-            [*flags, 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}"],
-        )
+        own = world_of(Shown(), 'dataset.tracks.kind="file"', f"dataset.tracks.file={str(track.resolve())!r}")
         source = tracks.sampled(own, 0)
         truth, _ = source.part(0, int(source.lengths.sum()))
-    found = foreign.detections(table, rule, world, None if truth is None else truth.steps, truth, columns)
-    world = load(scenario, [f"source.kind={kind}", *flags, f"track.steps={max(found.steps, 1)}"])
+        if "bias" not in trackfile.read_rows(track, "--track"):  # the clock's truth is not known then
+            truth = replace(truth, bias=np.full(truth.steps, np.nan))
+    steps = None if truth is None else truth.steps
+    found = foreign.detections(table, rule, world, steps, truth, columns)
+    shown = shown_by(found, period, bool({"doppler", "radial_velocity"} & set(rule.columns)))
+    world = world_of(shown, f"track.steps={max(found.steps, 1)}")
+    found = foreign.detections(table, rule, world, steps, truth, columns)  # searched as wide as they show
     records = {"base_stations": build.base_stations(world), "detections": found}
     if truth is not None:
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
@@ -88,20 +104,17 @@ def _doubt(found, stations, height: float) -> str | None:
         return None
 
 
-def _told_by(columns, rule, world, flags: list[str]) -> list[str]:
+def _told_by(period: float | None, world: Scenario, flags: list[str]) -> list[str]:
     """Settings that the time stamps decide: the period, and with it how far the receiver strays in one."""
-    from dopslam.formats.times import period_of
 
     def given(key: str) -> bool:
         return any(text.replace(" ", "").startswith(f"track.{key}=") for text in flags)
 
-    if "step" in rule.columns or given("period"):
+    if period is None or given("period"):
         return []
-    shown = period_of(columns[rule.columns["time"]])
-    if shown is None:
-        return []
-    told = [f"track.period={shown!r}"]
-    if not given("process_std"):  # a walk: its variance is in proportion to the time
-        share = (shown / world.track.period) ** 0.5
+    told = [f"track.period={period!r}"]
+    if not given("process_std") and "process_std" not in world.derived.get("track", {}):
+        # A walk: its variance is in proportion to the time.
+        share = (period / world.track.period) ** 0.5
         told.append(f"track.process_std={[float(std * share) for std in world.track.process_std]}")
     return told

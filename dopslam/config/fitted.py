@@ -11,6 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dopslam.config.measured import Shown
     from dopslam.config.sections import Sections
     from dopslam.config.trackfile import Drive
 
@@ -31,15 +32,17 @@ SLOWEST_WALK = 0.05  # m/s per step
 TURNED_IN = 1.5  # 1/s: two thirds of a second from straight ahead to the sharpest turn
 
 
-def fitted(scenario: Sections, drive: Drive | None = None) -> dict[str, Any]:
+def fitted(scenario: Sections, drive: Drive | None = None, shown: Shown | None = None) -> dict[str, Any]:
     """Values, by section and key, of what a scenario leaves open; ``model_fields_set`` tells what it gives.
 
     ``drive`` is its own, if it has one: how far it goes and its largest speed count; its turns and stops the filter does not
-    know, only how sharply such a receiver can turn and accelerate.
+    know, only how sharply such a receiver can turn and accelerate. ``shown`` is what measurements show of one that nobody
+    described.
     """
-    far = reach(scenario, drive)
+    far = reach(scenario, drive) if shown is None else max(SMALLEST_SPACE, shown.reach)
     speed = scenario.track.speed if drive is None else float(abs(drive.speed).max())
-    agile = {} if drive is None else _agility(scenario, speed)
+    speed = speed if shown is None else shown.speed
+    agile = {} if drive is None and shown is None else _agility(scenario, speed)
     walks = (agile["speed_walk"], agile["turn_rate_walk"]) if agile else (0.0, 0.0)
     found = {
         "radio": _radio(scenario, far),

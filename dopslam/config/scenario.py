@@ -20,6 +20,7 @@ from dopslam.config import sizes
 from dopslam.config.driven import driven
 from dopslam.config.fitted import fitted
 from dopslam.config.generated import filled
+from dopslam.config.measured import Shown, completed
 from dopslam.config.sections import Sections
 from dopslam.config.sentences import sentence
 from dopslam.errors import ConfigError
@@ -82,13 +83,14 @@ def find_scenario(where: str | Path) -> Path:
     raise ConfigError(f"no scenario at {str(where)!r}: expected a folder with scenario.toml; {hint}")
 
 
-def load(where: str | Path, overrides: tuple[str, ...] | list[str] = ()) -> Scenario:
+def load(where: str | Path, overrides: tuple[str, ...] | list[str] = (), shown: Shown | None = None) -> Scenario:
     """Read and validate a scenario.
 
     Parameters
     ----------
     where : folder, ``scenario.toml`` or the name of a shipped scene
     overrides : ``key.path=value`` texts, values in TOML syntax (a bare word is a string)
+    shown : what measurements show, which then need no scene, no arrays, no start and no speed
 
     Raises
     ------
@@ -100,10 +102,12 @@ def load(where: str | Path, overrides: tuple[str, ...] | list[str] = ()) -> Scen
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as UTF-8 text ({error})") from error
-    return parse(text, overrides, source=str(path), folder=path.resolve().parent)
+    return parse(text, overrides, source=str(path), folder=path.resolve().parent, shown=shown)
 
 
-def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None = None) -> Scenario:
+def parse(
+    text: str, overrides=(), source: str = "scenario", folder: Path | None = None, shown: Shown | None = None
+) -> Scenario:
     """Validate TOML text; see :func:`load`."""
     try:
         tree = tomllib.loads(text)
@@ -112,9 +116,12 @@ def parse(text: str, overrides=(), source: str = "scenario", folder: Path | None
     for override in overrides:
         _apply(tree, override)
     tree, drive = driven(filled(tree), folder)
+    if shown is not None:
+        tree, free = completed(tree, shown)
+        shown = shown if free else None
     try:
         given = Scenario.model_validate(tree)
-        derived = fitted(given, drive)
+        derived = fitted(given, drive, shown)
         full = {k: getattr(given, k).model_copy(update=v) for k, v in derived.items()}
         scenario = Scenario.model_validate(given.model_copy(update=full).model_dump()) if full else given
     except ValidationError as error:

@@ -33,7 +33,7 @@ Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 class Scene(Frozen):
     """Where the geometry comes from: a Mitsuba XML beside the scenario, a scene that ships with Sionna RT, or a generator
-    (:mod:`dopslam.scenes.generators`), which also makes whatever the scenario leaves out."""
+    (:mod:`dopslam.scenes.generators`), which also makes whatever the scenario leaves out. None of them: nothing to trace."""
 
     file: str | None = None
     builtin: str | None = None
@@ -48,8 +48,8 @@ class Scene(Frozen):
 
     @model_validator(mode="after")
     def _one_source(self):
-        if sum(v is not None for v in (self.file, self.builtin, self.generator)) != 1:
-            raise ValueError("give exactly one of scene.file, scene.builtin and scene.generator")
+        if sum(v is not None for v in (self.file, self.builtin, self.generator)) > 1:
+            raise ValueError("give only one of scene.file, scene.builtin and scene.generator")
         return self
 
 

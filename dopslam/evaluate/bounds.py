@@ -185,8 +185,12 @@ def pcrb(
 
 
 def true_states(track: Track, motion: CoordinatedTurn) -> tuple[Array, Array]:
-    """States (K, n) of a true track and its start (n,), with speed and turn rate where the motion model carries them."""
-    states, start = track.state, np.asarray(track.start, float)
+    """States (K, n) of a true track and its start (n,), with speed and turn rate where the motion model carries them.
+
+    A clock bias that nobody knows (NaN) is 0 here: no Jacobian depends on it.
+    """
+    states, start = np.array(track.state), np.array(track.start, float)
+    states[:, 3], start[3] = np.nan_to_num(states[:, 3]), np.nan_to_num(start[3])
     if motion.dimension == states.shape[1]:
         return states, start
     speed = np.sum(track.velocity[:, :2] * np.column_stack([np.cos(track.heading), np.sin(track.heading)]), axis=1)

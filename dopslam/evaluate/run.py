@@ -29,7 +29,7 @@ class Evaluation:
     ----------
     position_error : (K,) m; heading_error : (K,) rad, signed; bias_error : (K,) m, signed
     peb : (K,) m; heb : (K,) rad; ceb : (K,) m; posterior Cramér–Rao bounds of the same run
-    nees : (K,) normalized squared error of the state, 4 expected
+    nees : (K,) normalized squared error of the state; ``states`` of it, whose truth is known, are expected
     gospa_va, gospa_sp : (K,) m
     found : (L,) m, distance of every true landmark to its estimate at the last step, inf if there is none
     lost : why the filter's own history counts as lost, without the truth; empty if it does not
@@ -48,6 +48,7 @@ class Evaluation:
     found: np.ndarray
     lost: str = ""
     restarted: str = ""
+    states: int = 4
 
     @property
     def diverged(self) -> bool:
@@ -58,7 +59,8 @@ class Evaluation:
         ``LOST_NEES`` (4 are expected; a filter that is merely overconfident stays in the tens).
         """
         nees = np.nan_to_num(self.nees, nan=np.inf)
-        astray = not self.position_error[-1] <= max(10.0, 30.0 * float(np.nan_to_num(self.peb[-1], posinf=1e9)))
+        bound = float(np.nan_to_num(self.peb[-1], posinf=1e9))
+        astray = np.isfinite(self.peb[-1]) and not self.position_error[-1] <= max(10.0, 30.0 * bound)
         return bool(self.lost or astray or np.median(nees) > LOST_NEES)
 
     @property
@@ -91,8 +93,13 @@ def true_association(scans: Scans, exact: np.ndarray, offsets: np.ndarray, landm
     -------
     (N,) int, landmark or −1 for a false detection
     """
-    label = np.full(len(scans.z), CLUTTER)
-    weights = row_information(scans.covariance, where="row")
+    label, covariance = np.full(len(scans.z), CLUTTER), scans.covariance
+    if np.isnan(exact[:, 0]).any():  # the clock's truth is not known: delays tell nothing of the association
+        exact, covariance = exact.copy(), covariance.copy()
+        exact[:, 0] = 0.0
+        covariance[:, 0] = covariance[:, :, 0] = 0.0
+        covariance[:, 0, 0] = np.inf
+    weights = row_information(covariance, where="row")
     for step in range(scans.steps):
         rows = np.arange(len(label))[scans.rows(step)]
         truth = slice(int(offsets[step]), int(offsets[step + 1]))
@@ -131,7 +138,7 @@ def evaluate_run(
     track: Track,
     landmarks: Landmarks,
     history: History,
-    bound: Bound,
+    bound: Bound | None,
     largest_order: int = 1,
 ) -> Evaluation:
     """Errors of a filter's history beside the bound of the same run.
@@ -139,12 +146,19 @@ def evaluate_run(
     The map is judged over the landmarks that the filter's measurement model describes: scatter points and virtual
     anchors of up to ``largest_order`` reflections (1 for the EK-PMB filters; belief propagation calls the others by the
     same name). Those of higher order count in ``found`` alone.
+
+    What nobody knows is NaN and not judged: a true clock bias (NaN in the track), whose state is left out of the NEES; a
+    true map (no landmark but the base station), and with it GOSPA; a bound (None).
     """
     error = metrics.state_errors(history.mean[:, :4], track.state)
     settings, threshold = scenario.evaluation, scenario.filter.report_existence
+    known = np.flatnonzero(np.isfinite(error).all(axis=0))
+    unbounded = np.full(len(error), np.nan)
     described = landmarks.order <= largest_order
 
     def gospa(kind: Kind) -> np.ndarray:
+        if np.all(landmarks.kind == Kind.BS):
+            return unbounded
         true = landmarks.position[(landmarks.kind == kind) & described]
         return np.array([
             metrics.gospa(
@@ -157,10 +171,11 @@ def evaluate_run(
         position_error=np.hypot(error[:, 0], error[:, 1]),
         heading_error=error[:, 2],
         bias_error=error[:, 3],
-        peb=bound.peb,
-        heb=bound.heb,
-        ceb=bound.ceb,
-        nees=metrics.nees(error, history.covariance[:, :4, :4]),
+        peb=unbounded if bound is None else bound.peb,
+        heb=unbounded if bound is None else bound.heb,
+        ceb=unbounded if bound is None else bound.ceb,
+        nees=metrics.nees(error[:, known], history.covariance[:, known[:, None], known]),
+        states=len(known),
         gospa_va=gospa(Kind.VA),
         gospa_sp=gospa(Kind.SP),
         found=landmark_errors(landmarks, history, threshold, largest_order),
@@ -198,4 +213,5 @@ def summarize(evaluation: Evaluation, landmarks: Landmarks, found_radius: float)
         "landmark_error_m": named(simple & (landmarks.kind != Kind.BS)),
         "higher_order_va_error_m": named(~simple),
         "nees": float(np.mean(evaluation.nees)),
+        "nees_states": evaluation.states,
     }

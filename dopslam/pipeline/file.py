@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate.bounds import Bound
@@ -17,7 +19,7 @@ from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name, walls_of
 from dopslam.pipeline.reads import refuse_unread
 from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
-from dopslam.records import DetectionSeries, FloorPlan, Landmarks, Mesh, Paths, Track
+from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track
 from dopslam.records.consistency import misfits
 from dopslam.report import figures, folder, page, replay, tables
 from dopslam.slam.history import History
@@ -188,9 +190,19 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
     track, landmarks, paths, _ = read_truth(path)
     detections = blurred(scenario, read_detections(path), seed)
     _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
+    if not _map_known(landmarks, paths):
+        raise DatasetError(
+            f"{path}: holds no true map, and without it there is no bound; name the landmarks on import "
+            "(source.model.virtual_anchors, scatter_point), or evaluate without"
+        )
     for smoothed in (False, True):
         bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
         dataset.write_record(path, _bound_group(doppler, smoothed), bounds)
+
+
+def _map_known(landmarks: Landmarks, paths: Paths | None) -> bool:
+    """Whether the truth of a run says more than where the base station is."""
+    return paths is not None or bool(np.any(landmarks.kind != Kind.BS))
 
 
 def bound_name(doppler: bool) -> str:
@@ -216,6 +228,9 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
         group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
         if group in have:
             bounds[name] = dataset.read_record(path, group, Bound)
+        elif not _map_known(landmarks, paths):
+            _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})
+            continue
         elif failed is not None and bound_name(doppler) in failed:
             del found[name]
             continue

@@ -65,7 +65,8 @@ def judged(
     truth : of the run
     detections : that the filters read; None: what they tell is left out
     histories : by variant name (:func:`variant_name`)
-    bounds : by variant name; that of the whole run for a filter that reads it before it answers
+    bounds : by variant name; that of the whole run for a filter that reads it before it answers; none where no true map is
+        known
     failed : with it a variant that cannot be judged is added (name → why) and the others are judged
     """
     track, landmarks, paths = truth
@@ -73,7 +74,7 @@ def judged(
     for name, history in histories.items():
         order = largest_order(split_variant(name)[0], landmarks)
         try:
-            evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds[name], order)
+            evaluations[name] = evaluate_run(scenario, track, landmarks, history, bounds.get(name), order)
         except (DopslamError, ValueError, ArithmeticError) as error:
             if failed is None:
                 raise

@@ -43,6 +43,10 @@ def scene_source(scenario: Scenario) -> SceneSource:
     if scene.generator is not None:
         made = generate(scene.generator, scene.seed, scene.options, scenario.radio.carrier_frequency)
         return SceneSource(scenario.name, scene.materials, scene_xml(made))
+    if scenario.scene_file is None and scene.builtin is None:
+        raise SceneError(
+            "the scenario says no scene; to trace give one of scene.file, scene.builtin and scene.generator"
+        )
     return SceneSource(scenario.scene_file or str(scene.builtin), scene.materials)
 
 

@@ -135,9 +135,11 @@ def _check_columns(record, columns: tuple[str, ...], rows: int) -> None:
             raise DopslamError(
                 f"{where} holds {column.dtype} numbers; expected {KINDS.get(name, 'f')[0]!r}, see numpy kinds"
             )
-        if not np.all(np.isfinite(column)):
+        if not np.all(np.isfinite(column)) and not (name in UNKNOWN and np.all(np.isnan(column))):
             raise DopslamError(f"{where} holds non-finite values; remove those rows first")
 
+
+UNKNOWN = ("bias",)  # NaN throughout where nobody knows it
 
 SHAPES = {  # of a row, where it is no single number
     **dict.fromkeys(("aoa", "aod"), (2,)), "covariance": (6, 6), **dict.fromkeys(("position", "velocity", "vertices"), (3,)),
@@ -159,7 +161,7 @@ class Track:
     position : (K, 3) m, world frame
     heading : (K,) rad, azimuth of the receiver's array and direction of travel
     velocity : (K, 3) m/s, world frame
-    bias : (K,) m, clock bias times c
+    bias : (K,) m, clock bias times c; NaN throughout where nobody knows it, as of a measured drive
     start : (4,) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before the first step
     """
 

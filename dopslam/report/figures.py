@@ -172,13 +172,15 @@ def errors_over_time(evaluation) -> Figure:
         ("heading [°]", np.degrees(evaluation.heading_error), np.degrees(evaluation.heb), "HEB"),
         ("clock bias [m]", evaluation.bias_error, evaluation.ceb, "CEB"),
     )
-    axes = figure.subplots(len(panels), 1, sharex=True)
+    panels = [panel for panel in panels if np.isfinite(panel[1]).any()]  # a clock whose truth nobody knows has none
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     steps = np.arange(1, len(evaluation.position_error) + 1)
     for ax, (name, error, bound, bound_name) in zip(axes, panels, strict=True):
         ax.semilogy(
             steps, np.maximum(np.abs(error), 1e-6), ".-", color=ESTIMATE, linewidth=1, label="error of this run"
         )
-        ax.semilogy(steps, bound, color=BOUND, label=f"{bound_name} (standard deviation)")
+        if np.isfinite(bound).any():
+            ax.semilogy(steps, bound, color=BOUND, label=f"{bound_name} (standard deviation)")
         ax.set_ylabel(name)
         ax.legend(loc="upper right", ncols=2)
     axes[0].set_title("Errors beside the posterior Cramér–Rao bound")

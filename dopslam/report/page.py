@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
@@ -82,10 +83,12 @@ def _lead(summary: Mapping) -> str:
     name = summary["filter"]
     v = summary["variants"][name]
     ratio = v.get("rmse_over_bound", {}).get("position")
-    beside = f", {ratio:.2f} times the posterior Cramér–Rao bound" if ratio is not None else ""
+    beside = f", {ratio:.2f} times the posterior Cramér–Rao bound" if ratio is not None and math.isfinite(ratio) else ""
+    clock = v["clock_bias_rmse_m"]
+    timed = f", its clock to {clock:.3f} m" if clock is not None and math.isfinite(clock) else ""
     sentences = [
         f"The receiver was found to {v['position_rmse_m']:.3f} m{beside}, its heading to "
-        f"{v['heading_rmse_deg']:.3f}°, its clock to {v['clock_bias_rmse_m']:.3f} m (root mean squares over the steps).",
+        f"{v['heading_rmse_deg']:.3f}°{timed} (root mean squares over the steps).",
         f"In the final map: {v['va_found']} of {v['va_total']} reflecting walls (virtual anchors) and "
         f"{v['sp_found']} of {v['sp_total']} scatter points.",
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -76,17 +77,30 @@ def _shown(variants: dict) -> list:
     def says(label: str) -> bool:
         if label in ("diverged", "restarted"):
             return any(v.get(label) for v in variants.values())
+        if label.startswith(("GOSPA", "VAs", "SPs")):  # nothing is known of a map without a single true landmark
+            return any(v["va_total"] + v["sp_total"] for v in variants.values())
         return not label.startswith("walls") or any(v.get("walls_total") for v in variants.values())
 
-    return [row for row in _ROWS if says(row[0])]
+    states = max((v.get("nees_states", 4) for v in variants.values()), default=4)
+    return [(f"NEES (expect {states})" if label == "NEES" else label, text) for label, text in _ROWS if says(label)]
 
 
 def _with_ratio(key: str, part: str):
-    return lambda v: f"{v[key]:.4f} ({v['rmse_over_bound'][part]:.2f})"
+    def cell(v: dict) -> str:
+        if not _known(v[key]):
+            return "–"
+        ratio = v["rmse_over_bound"][part]
+        return f"{v[key]:.4f}" + (f" ({ratio:.2f})" if _known(ratio) else "")
+
+    return cell
 
 
-def _root_mean_square(key: str, digits: int):
-    return lambda v: "–" if v.get(key) is None else f"{v[key]:.{digits}f}"
+def _known(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _number(key: str, digits: int):
+    return lambda v: f"{v[key]:.{digits}f}" if _known(v.get(key)) else "–"
 
 
 _ROWS = (
@@ -95,13 +109,13 @@ _ROWS = (
     ("position RMSE, m", _with_ratio("position_rmse_m", "position")),
     ("heading RMSE, °", _with_ratio("heading_rmse_deg", "heading")),
     ("clock bias RMSE, m", _with_ratio("clock_bias_rmse_m", "clock")),
-    ("NEES (expect 4)", lambda v: f"{v['nees']:.1f}"),
-    ("GOSPA of VAs, m", lambda v: f"{v['gospa_va_m']:.2f}"),
-    ("GOSPA of SPs, m", lambda v: f"{v['gospa_sp_m']:.2f}"),
+    ("NEES", _number("nees", 1)),
+    ("GOSPA of VAs, m", _number("gospa_va_m", 2)),
+    ("GOSPA of SPs, m", _number("gospa_sp_m", 2)),
     ("VAs found", lambda v: f"{v['va_found']} of {v['va_total']}"),
     ("SPs found", lambda v: f"{v['sp_found']} of {v['sp_total']}"),
-    ("walls off by, m", _root_mean_square("wall_distance_m", 3)),
-    ("walls turned by, °", _root_mean_square("wall_angle_deg", 3)),
+    ("walls off by, m", _number("wall_distance_m", 3)),
+    ("walls turned by, °", _number("wall_angle_deg", 3)),
 )
 
 

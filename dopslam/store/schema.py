@@ -134,7 +134,7 @@ INTEGERS = {
     "anchor",
     "flags",
 }
-MAY_LACK = {("Bound", "landmark")}  # NaN where nothing is known
+MAY_LACK = {("Track", "bias"), ("Bound", "landmark")}  # NaN where nothing is known
 
 
 def fault_of(record: str, columns: Mapping[str, np.ndarray]) -> str:

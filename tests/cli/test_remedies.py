@@ -158,7 +158,7 @@ def test_a_start_from_the_detections_alone_cures_a_wrong_start(tmp_path, drawn, 
     """The remedy that a diverged filter names."""
     path = tmp_path / "d.h5"
     shutil.copy(drawn, path)
-    assert call("slam", path, "--set", "track.start=[30, 40, 0.2, 300]") == 3
+    assert call("slam", path, "--set", "track.start=[30, 40, 0.2, 300]", "--set", "filter.restart=false") == 3
     remedy = re.search(r"--set (filter.start=\S+)", capsys.readouterr().out).group(1)
     assert call("slam", path, "--set", remedy) == 0
     from dopslam.records import Track
