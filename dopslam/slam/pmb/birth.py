@@ -269,7 +269,7 @@ def new_hypotheses(density, n, scan, local, model):
         twin = np.inf  # how well the VA fits, and with it the SP at its incidence point
         for t in range(BIRTHS):
             kind = VA + t
-            if model.intensity[t] + model.birth_intensity[t] <= 0.0:
+            if model.intensity[t] + model.birth_intensity[t] <= 0.0 or scan.log_snr[p] == -np.inf:
                 continue
             most = math.log(model.intensity[t] + model.birth_intensity[t]) + constant
             x = position[p, t]

@@ -75,7 +75,7 @@ class Scan(NamedTuple):
     ----------
     z : (M, m) array
     covariance : (M, m, m) array
-    log_snr : (M,) array; natural log of ρ, zeros where unknown
+    log_snr : (M,) array; natural log of ρ, zeros where unknown, -∞ where a measurement is passed over (`splinters`)
     first : int; number of the first measurement in the whole run; a track is named by the measurement that
     bore it
     clutter : float; clutter intensity c(z)
@@ -109,6 +109,10 @@ class Model(NamedTuple):
     thinning: bool
     prune: float
     existence_limit: float
+    unconfirmed: float
+    beside: float
+    merge: bool
+    curvature: bool
     negligible: float
     hide: float
     reappear: float
@@ -157,6 +161,15 @@ class FilterParameters:
         Blocks below this weight are dropped.
     existence_limit : float
         Ceiling of a track's existence, so that misses can still end it.
+    unconfirmed : float
+        Ceiling of the existence of what was detected once, at most `existence_limit`: an estimator's mistakes are not spread
+        evenly over the search region, and a single detection cannot tell.
+    beside : float
+        Likelihood of a miss of a landmark beside a detection in its cell that it does not explain, over that of none.
+    curvature : bool
+        Whether the association allows for what the linearization leaves out (`curvature`); never in the paper's filter.
+    merge : bool
+        Whether tracks of one path are merged (`merging`); never in the paper's filter.
     hide : float
         Probability per step that a landmark in sight goes out of sight; 0, and always in the paper's filter: never.
     reappear : float
@@ -193,6 +206,10 @@ class FilterParameters:
     thinning: bool = False
     prune: float = 1e-3
     existence_limit: float = 0.999
+    unconfirmed: float = 0.45
+    beside: float = 0.8
+    merge: bool = True
+    curvature: bool = True
     hide: float = 0.05
     reappear: float = 0.1
     robust: float = 10.0
@@ -250,6 +267,10 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         thinning=bool(parameters.thinning),
         prune=float(parameters.prune),
         existence_limit=float(parameters.existence_limit),
+        unconfirmed=float(parameters.unconfirmed if parameters.joint else parameters.existence_limit),
+        beside=float(parameters.beside),
+        merge=bool(parameters.merge and parameters.joint),
+        curvature=bool(parameters.curvature and parameters.joint),
         negligible=float(parameters.negligible),
         hide=float(parameters.hide) if parameters.joint else 0.0,
         reappear=float(parameters.reappear),

@@ -41,8 +41,10 @@ from dopslam.slam.pmb.hypotheses import (
     normalize,
     track_starts,
 )
+from dopslam.slam.pmb.merging import merge_duplicates
 from dopslam.slam.pmb.newborn import RARE
 from dopslam.slam.pmb.sleeping import nobody, whole
+from dopslam.slam.pmb.splinters import pass_over_splinters
 from dopslam.slam.pmb.update import update
 from dopslam.slam.pmb.waking import rest, wake, write_sleepers
 
@@ -228,6 +230,8 @@ def recursion(prior, n, scan, model):
     chosen = worth_updating(associations, model.negligible)
     updated, log_weight, nis, rows = update(prior, n, local, scan, chosen, log_term, log_new, position, model)
     weight, track, existence = name_tracks(prior, local, associations, log_weight)
+    if model.merge:
+        merge_duplicates(updated, n, model)
     return prune(updated, model.prune), Info(weight, track, existence, nis, rows)
 
 
@@ -293,18 +297,16 @@ def filter_scans(z, covariance, log_snr, offsets, clutter, pace, density, model,
 def scan_arrays(
     scans: Scans, doppler: bool, period: float
 ) -> tuple[Array, Array, Array, NDArray[np.int64], float, Array]:
-    """Measurements, covariances, ln ρ (zeros where unknown), offsets, clutter intensity and pace of all scans, with or
+    """Measurements, covariances, ln ρ (zeros where unknown, -∞ for `splinters`), offsets, clutter intensity and pace of all scans, with or
     without the Doppler row; `period` [s] is the motion model's.
     """
     m = 6 if doppler else 5
-    return (
-        np.array(scans.z[:, :m], order="C"),  # a copy: read-only arrays would be compiled for anew
-        np.array(scans.covariance[:, :m, :m], order="C"),
-        np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12)),
-        scans.offsets.astype(np.int64),
-        scans.clutter_intensity(doppler),
-        scans.pace(period),
-    )
+    z = np.array(scans.z[:, :m], order="C")  # a copy: read-only arrays would be compiled for anew
+    covariance = np.array(scans.covariance[:, :m, :m], order="C")
+    log_snr = np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12))
+    offsets = scans.offsets.astype(np.int64)
+    pass_over_splinters(z, covariance, log_snr, offsets)
+    return z, covariance, log_snr, offsets, scans.clutter_intensity(doppler), scans.pace(period)
 
 
 def scan_of(scans: Scans, k: int, doppler: bool, period: float) -> Scan:

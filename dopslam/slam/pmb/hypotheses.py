@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.compute.compiled import compiled, inlined
+from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.models.kernels import factorize, noise_entry, solve_lower_vector, subtract
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import log_spreading, visible_share
+from dopslam.slam.pmb.curvature import add_curvature
 from dopslam.slam.pmb.density import INERT, NO_TRACK, look_up, start_of
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 
@@ -88,6 +89,16 @@ def relative_spread(covariance, n, block):
 
 
 @compiled
+def vector_spread(covariance, n, block):
+    """:func:`relative_spread`, of the BS that of the receiver's position."""
+    if block > 0:
+        return relative_spread(covariance, n, block)
+    spread = np.zeros((3, 3))
+    copy_matrix(covariance[:2, :2], spread)
+    return spread
+
+
+@compiled
 def detection_probability(density, n, block, model):
     """p_D of a block: from its predicted SNR, times the share of its density within the SP range."""
     if block == 0:
@@ -129,8 +140,12 @@ def local_hypotheses(density, n, scan, model):
             continue
         project_rows(density.covariance, n, b, by_state, by_landmark, projected)
         innovation_covariance(projected, n, b, by_state, by_landmark, extra, base)
+        if model.curvature:
+            add_curvature(density, n, b, vector_spread(density.covariance, n, b), model, base)
         log_prior = math.log(density.weight[b] * detection[b])
         for p in range(count):
+            if scan.log_snr[p] == -np.inf:
+                continue
             subtract(scan.z[p], predicted, by_landmark, by_state, nu)
             near = True
             wide = model.outlier > 0.0 and scan.log_snr[p] > 0.0 and density.detections[b] >= ESTABLISHED

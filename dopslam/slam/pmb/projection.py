@@ -9,6 +9,8 @@ import numpy as np
 from dopslam.compute.compiled import compiled
 from dopslam.slam.pmb.density import NO_TRACK, start_of
 
+ONCE = 1.5  # detections (an average over associations) up to which something was seen once
+
 
 @compiled
 def moment_match(log_weight, means, covariances, weights, n):
@@ -62,16 +64,19 @@ def drop_cross_covariances(covariance, n):
 
 
 @compiled
-def cap_existence(weight, track, limit):
-    """Scale the siblings of a track so that its existence stays at or below `limit`; the BS is exempt."""
+def cap_existence(weight, track, detections, limit, unconfirmed):
+    """Scale the siblings of a track so that its existence stays at or below `limit`, or `unconfirmed` where it was detected
+    once; the BS is exempt."""
     b = 1
     while b < track.shape[0]:
         last = b
-        total = 0.0
+        total = seen = 0.0
         while last < track.shape[0] and track[last] == track[b]:
             total += weight[last]
+            seen = max(seen, detections[last])
             last += 1
-        if total > limit and track[b] > NO_TRACK:
+        most = limit if seen > ONCE else min(limit, unconfirmed)
+        if total > most and track[b] > NO_TRACK:
             for i in range(b, last):
-                weight[i] *= limit / total
+                weight[i] *= most / total
         b = last

@@ -91,6 +91,7 @@ class Births(NamedTuple):
 def paper(parameters: FilterParameters) -> FilterParameters:
     """The choices of a compiled filter without what it has beyond the paper."""
     only = {"robust": np.inf, "outlier": 0.0, "inform": False, "lazy": False, "hide": 0.0}
+    only |= {"merge": False, "curvature": False, "unconfirmed": parameters.existence_limit}
     return replace(parameters, intensity=parameters.intensity[:2], **only)
 
 

@@ -27,10 +27,6 @@ from dopslam.slam.pmb.projection import cap_existence, drop_cross_covariances, m
 
 Array = NDArray[np.float64]
 
-DOUBLE = (
-    0.8  # likelihood of a miss of a landmark beside a detection in its cell that it does not explain, over that of none
-)
-
 
 class Workspace(NamedTuple):
     """Arrays of one measurement's linear update, sized once per step."""
@@ -249,7 +245,7 @@ def weights_after(density, local, scan, association, model, weight, reference, d
     A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1. A distorted detection
     leaves the existence alone and counts as a miss for the sight, so that what goes on beside a landmark that has gone
     becomes a landmark of its own. Nothing hides a landmark and not what is seen within its resolution cell: such a miss
-    counts against its existence (`DOUBLE`), until of two tracks of one path the one that is seen is left.
+    counts against its existence (`Model.beside`), until of two tracks of one path the one that is seen is left.
     """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
@@ -273,7 +269,7 @@ def weights_after(density, local, scan, association, model, weight, reference, d
             for b in range(local.first[t], local.first[t + 1]):
                 existence += weight[b]
             for b in range(local.first[t], local.first[t + 1]):
-                weight[b] *= DOUBLE / (1.0 - existence + DOUBLE * existence)
+                weight[b] *= model.beside / (1.0 - existence + model.beside * existence)
     for p in range(scan.z.shape[0]):
         t = association[p]
         if t < 0:
@@ -378,7 +374,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
     for c in range(born):
         kind[old + c] = kinds[c]
         track[old + c] = scan.first + measurement[c]
-    cap_existence(weight, track, model.existence_limit)
+    cap_existence(weight, track, detection, model.existence_limit, model.unconfirmed)
     trail = np.empty((density.trail.shape[0] + 1, 2))
     copy_matrix(density.trail, trail)
     copy_vector(mean[:2], trail[density.trail.shape[0]])

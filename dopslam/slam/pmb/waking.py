@@ -46,6 +46,8 @@ def within_reach(x, spread, b, prior, n, asleep, scan, model, predicted, by_stat
     if not linearize(state, x, kind, model.site, predicted, by_state, by_landmark):
         return False
     for p in range(scan.z.shape[0]):
+        if scan.log_snr[p] == -np.inf:
+            continue
         subtract(scan.z[p], predicted, by_landmark, by_state, nu)
         cell = 0.0
         if model.outlier > 0.0 and scan.log_snr[p] > 0.0 and asleep.detections[b] >= ESTABLISHED:

@@ -1,0 +1,167 @@
+"""Tracks of one path are merged without loss or double count; pieces of one path are one detection."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dopslam.models.kernels import BS, SP, SR, VA
+from dopslam.models.measurement import measure
+from dopslam.slam.pmb.density import PMB, FilterParameters, Scan, compile_model
+from dopslam.slam.pmb.ek_pmb import single_step
+from dopslam.slam.pmb.merging import identify, merge_duplicates
+from dopslam.slam.pmb.splinters import pass_over_splinters
+
+N = 4
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def gaussian(rng, size):
+    root = rng.standard_normal((size, size))
+    return rng.standard_normal(size), root @ root.T + np.eye(size)
+
+
+def updated(mean, covariance, rows, noise, z):
+    """The linear Kalman update."""
+    gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + noise)
+    kept = np.eye(len(mean)) - gain @ rows
+    return mean + gain @ (z - rows @ mean), kept @ covariance @ kept.T + gain @ noise @ gain.T
+
+
+def test_two_tracks_with_half_of_the_detections_each_are_one_with_all(rng):
+    """Detections of one landmark, given by turns to two tracks; receiver and another landmark hang together with both."""
+    own, spread = gaussian(rng, N + 3)  # receiver and another landmark
+    wide = 50.0 * np.eye(3)
+    two = (
+        np.concatenate([own, np.zeros(6)]),
+        np.block([[spread, np.zeros((N + 3, 6))], [np.zeros((6, N + 3)), np.kron(np.eye(2), wide)]]),
+    )
+    one = (
+        np.concatenate([own, np.zeros(3)]),
+        np.block(
+            [[spread, np.zeros((N + 3, 3))], [np.zeros((3, N + 3)), wide / 2]]  # what two such priors say together
+        ),
+    )
+    for k in range(6):
+        by_state, by_landmark, z = rng.standard_normal((5, N)), rng.standard_normal((5, 3)), rng.standard_normal(5)
+        noise = 0.1 * np.eye(5)
+        rows = np.hstack([by_state, np.zeros((5, 3)), np.zeros((5, 6))])
+        rows[:, N + 3 + 3 * (k % 2) : N + 6 + 3 * (k % 2)] = by_landmark
+        two = updated(*two, rows, noise, z)
+        one = updated(*one, np.hstack([by_state, np.zeros((5, 3)), by_landmark]), noise, z)
+    mean, covariance = (np.array(part) for part in two)
+    assert identify(mean, covariance, N, 2, 3)
+    np.testing.assert_allclose(mean[:-3], one[0], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(covariance[:-3, :-3], one[1], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(mean[-3:], one[0][-3:], rtol=1e-9, atol=1e-10)  # the other block is its copy
+
+
+def density(world, *landmarks):
+    """The receiver and landmarks (kind, position, existence, unseen), each a track of its own with σ = 0.1 m."""
+    kind, position, weight, unseen = zip(*landmarks, strict=True)
+    size = N + 3 * len(kind)
+    covariance = 0.01 * np.eye(size)
+    covariance[:N, :N] = world.prior_covariance
+    ones, none = np.ones(len(kind) + 1), np.zeros(len(kind) + 1, dtype=np.int64)
+    return PMB(
+        np.concatenate([world.prior_mean, *position]), covariance, np.array([BS, *kind], dtype=np.int64),
+        np.array([1.0, *weight]), np.arange(-1, len(kind)), np.zeros(len(kind) + 1), 5.0 * ones, ones.copy(),
+        np.array([0.0, *unseen]), np.zeros(len(kind) + 1), none, np.zeros((0, 2)),
+    )  # fmt: skip
+
+
+def merged(world, *landmarks):
+    """Weights of the landmarks after merging."""
+    given = density(world, *landmarks)
+    merge_duplicates(given, N, compile_model(FilterParameters(), world.motion, world.bs))
+    return given.weight[1:]
+
+
+def test_which_tracks_are_one(world):
+    wall = world.landmarks(VA)[0]
+    near, far = wall + np.array([0.1, -0.1, 0.05]), wall + np.array([1.5, 0.0, 0.0])
+    both = 1.0 - (1.0 - 0.8) * (1.0 - 0.9)
+    assert merged(world, (VA, wall, 0.8, 3.0), (VA, near, 0.9, 0.0)) == pytest.approx([0.0, both])
+    assert merged(world, (VA, wall, 0.8, 0.0), (SR, near, 0.9, 3.0)) == pytest.approx([both, 0.0])
+    assert merged(world, (VA, wall, 0.8, 0.0), (VA, near, 0.9, 0.0)) == pytest.approx([0.8, 0.9])  # seen side by side
+    assert merged(world, (VA, wall, 0.8, 3.0), (VA, far, 0.9, 0.0)) == pytest.approx([0.8, 0.9])
+    assert merged(world, (VA, wall, 0.8, 3.0), (SP, near, 0.9, 0.0)) == pytest.approx([0.8, 0.9])
+    three = merged(world, (VA, wall, 0.8, 3.0), (VA, near, 0.9, 0.0), (SR, wall, 0.5, 1.0))
+    assert three == pytest.approx([0.0, 1.0 - 0.2 * 0.1 * 0.5, 0.0])
+
+
+def test_where_one_may_lie_anywhere_two_are_two(world):
+    """Two that are known to fifty metres each would merge by their distance alone."""
+    given = density(world, (VA, world.landmarks(VA)[0], 0.8, 3.0), (VA, world.landmarks(VA)[0], 0.9, 0.0))
+    given.covariance[N:, N:] += 2500.0 * np.eye(6)
+    merge_duplicates(given, N, compile_model(FilterParameters(), world.motion, world.bs))
+    assert given.weight[1:] == pytest.approx([0.8, 0.9])
+
+
+def path(world, x=None):
+    """The measurement of the first wall's path from the prior's receiver, at ρ of 40 dB, and its R."""
+    z = measure(
+        world.prior_mean,
+        world.landmarks(VA)[:1] if x is None else x,
+        np.array([VA]),
+        world.bs,
+        speed=world.motion.speed,
+    )
+    return z[0], np.diag(np.square([0.01, 1e-3, 1e-3, 1e-3, 1e-3, 0.01]))
+
+
+def splintered(world, rng, pieces, apart=0.0):
+    """One path in `pieces` that agree in where they come from and not in how they left; the strongest is the last."""
+    z, noise = path(world)
+    rows = np.tile(z, (pieces, 1)) + rng.standard_normal((pieces, 6)) @ np.linalg.cholesky(noise)
+    rows[:, 3:5] = rng.uniform(-1.0, 1.0, (pieces, 2))
+    rows[:, 0] += apart * np.arange(pieces)
+    return rows, np.tile(noise, (pieces, 1, 1)), np.log(10.0) + np.arange(pieces) * 0.5
+
+
+def test_pieces_of_one_path_are_one_detection_without_departure(world, rng):
+    rows, noise, strength = splintered(world, rng, 5)
+    other, own = path(world, world.landmarks(VA)[1:2])
+    rows, noise, strength = np.vstack([rows, other]), np.concatenate([noise, own[None]]), np.append(strength, 3.0)
+    kept, told = noise.copy(), strength.copy()
+    offsets = np.array([0, 6])
+    pass_over_splinters(rows, noise, strength, offsets)
+    np.testing.assert_array_equal(np.isfinite(strength), [False, False, False, False, True, True])
+    assert noise[4, 3, 3] > 3.0 and noise[4, 4, 4] > 0.5 and noise[4, 0, 0] == kept[4, 0, 0]
+    np.testing.assert_array_equal(noise[5], kept[5])
+    for unchanged, strong in ((rows[3:], told[3:]), (rows, np.zeros(6)), (splintered(world, rng, 5, 0.5)[0], told[:5])):
+        before, after = strong.copy(), kept[: len(strong)].copy()  # a pair; ρ unknown; apart in delay
+        pass_over_splinters(unchanged, after, strong, np.array([0, len(strong)]))
+        np.testing.assert_array_equal(strong, before)
+        np.testing.assert_array_equal(after, kept[: len(strong)])
+
+
+def test_splinters_make_no_landmarks_and_the_strongest_updates_its_own(world, rng):
+    """Eight pieces of a known wall's path: nothing is born, the wall has been seen."""
+    rows, noise, strength = splintered(world, rng, 8)
+    pass_over_splinters(rows, noise, strength, np.array([0, 8]))
+    given = density(world, (VA, world.landmarks(VA)[0], 0.9, 1.0))
+    given.covariance[:N, :N] *= 1e-4
+    motion = replace(world.motion, interval=1e-9, process_noise=1e-9 * np.eye(N))
+    model = compile_model(FilterParameters(), motion, world.bs)
+    after, info = single_step(given, Scan(rows, noise, strength, 10, 1e-9, 1.0), model)
+    np.testing.assert_array_equal(after.track, [-1, 0])
+    assert after.weight[1] > 0.99 and after.unseen[1] == 0.0
+    np.testing.assert_array_equal(info.track[0], [-2] * 7 + [0])
+
+
+def test_what_was_seen_once_is_not_reported(world):
+    """A detection far from everything is born with an existence below one half; a second one confirms it."""
+    z, noise = path(world)
+    model = compile_model(FilterParameters(), replace(world.motion, process_noise=1e-6 * np.eye(N)), world.bs)
+    given = density(world, (VA, world.landmarks(VA)[3], 0.9, 1.0))
+    given.covariance[:N, :N] *= 1e-4
+    for k, most in enumerate((0.5, 1.0)):
+        scan = Scan(z[None], noise[None], np.full(1, np.log(1e4)), 10 + k, 1e-9, 1e-6)
+        given, _ = single_step(given, scan, model)
+        born = given.weight[given.track == 10].sum()
+        assert most - 0.1 < born < most
