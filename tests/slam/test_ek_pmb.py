@@ -67,6 +67,7 @@ def test_reduces_to_the_kalman_filter(world):
         intensity=(1e-30, 1e-30),
         detection=ConstantDetection(1.0, None),
         existence_limit=1.0,
+        unconfirmed=1.0,
     )
     model = compile_model(parameters, world.motion, world.bs)
     density = known_map(world)
@@ -219,15 +220,15 @@ def test_six_states_follow_an_unknown_speed(world):
 
 
 def test_pmbm_with_one_clear_association_is_the_pmb(world):
-    """Without clutter, misses or confusion every hypothesis but one has vanishing weight."""
+    """Without clutter, misses or confusion every hypothesis but one has vanishing weight; a landmark seen once is believed."""
     clear = replace(world, noise=FixedNoise(world.noise.std, 1.0, 50.0), clutter_count=0.0)
     states, scans = simulate(clear, 0, 5)
     scans = _only(scans, scans.label < 5)
     mixture, _ = pmbm.run(
         scans, (world.prior_mean, world.prior_covariance), world.motion, world.bs,
-        FilterParameters(intensity=(1e-7, 1e-20)), hypotheses=5,
+        FilterParameters(intensity=(1e-7, 1e-20), unconfirmed=0.999), hypotheses=5,
     )  # fmt: skip
-    single, _ = run(world, scans, intensity=(1e-7, 1e-20))
+    single, _ = run(world, scans, intensity=(1e-7, 1e-20), unconfirmed=0.999)
     np.testing.assert_allclose(mixture.mean, single.mean, atol=2e-3)
     assert np.linalg.norm(mixture.mean[-1, :2] - states[-1, :2]) < 1.5
 
