@@ -52,9 +52,22 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,  # it leaves with one line, below
 )
+app.register_install_completion_command()
 for _verb, _help in VERBS.items():
     _name = "import_" if _verb == "import" else _verb  # a keyword is no module
     app.command(f"dopslam.cli.{_name}:{_name}", name=_verb, help=_help)
+
+
+FIRST_HOUR = """Radio SLAM end to end. Five commands of a first hour:
+
+  dopslam run                                    trace a shipped scene, run SLAM, leave runs/latest/report.html
+  dopslam view                                   look at it: what came out, a replay, tables and figures
+  dopslam new mine --kind street                 a scene of your own (or --from plan.geojson); then: dopslam run mine
+  dopslam run mine --filter joint,smoother,bp    every filter on the same detections
+  dopslam compare runs/latest runs/ANOTHER       two runs beside each other
+
+All commands: dopslam --help. One of them: dopslam run --help. What is missing here: dopslam doctor.
+Shell completion: dopslam --install-completion."""
 
 
 def main(tokens: list[str] | None = None) -> None:
@@ -68,6 +81,9 @@ def main(tokens: list[str] | None = None) -> None:
         os.environ.setdefault(name, "1")
     _forget_settings()
     _tolerate_narrow_terminals()
+    if not (sys.argv[1:] if tokens is None else tokens):
+        print(FIRST_HOUR)
+        return
     previous = _handled()
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Annotated
 
 from cyclopts import Parameter
+
+from dopslam.cli.bars import Progress, compiling, timed_bars
 
 
 def _seed(_: type, value: int) -> None:
@@ -27,7 +29,6 @@ Runs = Annotated[int, Parameter(validator=_runs)]
 Seed = Annotated[int, Parameter(validator=_seed)]
 Settings = Annotated[list[str] | None, Parameter(name="--set", negative=())]
 Filters = Annotated[list[str] | None, Parameter(name="--filter", negative=())]
-Progress = Callable[[str, int, int], None]
 
 
 def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
@@ -89,26 +90,10 @@ def worker_count(jobs: int | None) -> int:
 
 @contextlib.contextmanager
 def progress_display() -> Iterator[Progress]:
-    """A callback (stage, done, total) drawn as one bar per stage on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        TextColumn("{task.description:<11}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Bars(*columns, console=Console(stderr=True, markup=False)) as bars:
-        tasks: dict[str, object] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)  # type: ignore[arg-type]
-
-        yield report
+    """A callback (stage, done, total) drawn as one bar per stage on standard error, with the time left; the first run's
+    compiling has one of its own."""
+    with timed_bars() as progress, compiling(progress):
+        yield progress
 
 
 REMEDY = 'check start, motion and covariances; --set filter.start="snapshot" starts from the detections alone'
@@ -126,7 +111,7 @@ def leave_if_lost(summary: dict, console) -> None:
             console.print(restarted_text(name, figures["restarted"]))
     lost = [name for name, figures in summary["variants"].items() if figures.get("diverged")]
     if lost:
-        console.print(f"diverged: {', '.join(lost)}; do not use these tracks ({REMEDY})")
+        console.print(f"diverged: {', '.join(lost)}; do not use these tracks ({REMEDY})", style="bold red")
         for name in lost:
             if "lost" in summary["variants"][name]:
                 console.print(f"{name}: {summary['variants'][name]['lost']}")

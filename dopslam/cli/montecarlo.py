@@ -5,7 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from dopslam.cli.common import Filters, Runs, Seed, Settings, doppler_choice, filter_names, overrides, worker_count
+from dopslam.cli.common import (
+    Filters,
+    Runs,
+    Seed,
+    Settings,
+    doppler_choice,
+    filter_names,
+    overrides,
+    progress_display,
+    worker_count,
+)
 
 
 def montecarlo(
@@ -90,11 +100,15 @@ def montecarlo(
     refuse_unread(lambda chosen: load(scene, chosen), settings or (), ("montecarlo",), names)
     doppler, std = doppler_choice(doppler_std)
     results = {}
-    with workers(cluster) as threads:
+    with workers(cluster) as threads, progress_display() as progress:
         for name in names:
             plan = study(scenario, name, prior, doppler, std)
+            progress(name, 0, runs)
             compilation = warm_up(plan)
-            figures = summarize(run_study(plan, runs, seed, threads or worker_count(jobs)), plan)
+            done = run_study(
+                plan, runs, seed, threads or worker_count(jobs), lambda n, name=name: progress(name, n, runs)
+            )
+            figures = summarize(done, plan)
             results[name] = {
                 "scene": scene, "source": source, "filter": name, "prior": prior, "doppler": uses_doppler(plan.chosen), "seed": seed,
                 "compilation_seconds": compilation, **figures,

@@ -124,24 +124,34 @@ def run(
                 progress("slam", done, len(variants))  # the very first run compiles for a minute
                 tried(stages.variant_name(name, doppler), "slam", stages.slam, data, (), name, doppler)
             progress("slam", len(variants), len(variants))
-        for doppler in (True, False) if used else (False,):
-            tried(stages.bound_name(doppler), "bound", stages.bound, data, (), doppler)
-        start = time.perf_counter()
-        summary = None
-        try:
-            summary, evaluations = stages.evaluate(data, failed=failed)
-            summary |= {"derived": scenario.derived, "foreseen": [str(finding) for finding in foreseen]}
-            summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
-            stages.report(data, working, summary, evaluations)
-        except Exception as error:  # what was computed is worth more than its report
-            failed["evaluate"] = sentence(error)
-            folder.write_json(working / "failed.json", failed)
+            both = (True, False) if used else (False,)
+            for done, doppler in enumerate(both):
+                progress("bound", done, len(both))
+                tried(stages.bound_name(doppler), "bound", stages.bound, data, (), doppler)
+            progress("bound", len(both), len(both))
+            start = time.perf_counter()
+            summary = None
+            progress("report", 0, 2)
+            try:
+                summary, evaluations = stages.evaluate(data, failed=failed)
+                progress("report", 1, 2)
+                summary |= {"derived": scenario.derived, "foreseen": [str(finding) for finding in foreseen]}
+                summary["seconds"] = seconds | {"evaluate": time.perf_counter() - start}
+                stages.report(data, working, summary, evaluations)
+                progress("report", 2, 2)
+            except Exception as error:  # what was computed is worth more than its report
+                failed["evaluate"] = sentence(error)
+                folder.write_json(working / "failed.json", failed)
     if summary is not None:
         console.print(tables.run_table(summary))
     for name, why in failed.items():
         console.print(f"failed: {name}: {why}")
-    console.print(f"results: {final}")
-    if failed:
-        sys.exit(1)
-    if summary is not None:
-        leave_if_lost(summary, console)
+    console.print(f"results: {final}", soft_wrap=True)
+    try:
+        if failed:
+            sys.exit(1)
+        if summary is not None:
+            leave_if_lost(summary, console)
+    finally:  # the last line, whatever else there is to say
+        if (final / "report.html").exists():
+            console.print(f"report: {final / 'report.html'}", soft_wrap=True)

@@ -5,7 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from dopslam.cli.common import REMEDY, Filters, Settings, doppler_choice, filter_names, overrides, restarted_text
+from dopslam.cli.common import (
+    REMEDY,
+    Filters,
+    Settings,
+    doppler_choice,
+    filter_names,
+    overrides,
+    progress_display,
+    restarted_text,
+)
 
 
 def slam(
@@ -39,13 +48,17 @@ def slam(
 
     used, _ = doppler_choice(doppler_std)
     lost, console = {}, Console(markup=False, soft_wrap=True)
-    for name in filter_names(filters) or [None]:
-        variant = stages.slam(dataset, overrides(settings), name, used)
-        lost[variant], restarted = stages.mishaps(dataset, variant)
-        if restarted:
-            console.print(restarted_text(variant, restarted))
+    wanted = filter_names(filters) or [None]
+    with progress_display() as progress:
+        for done, name in enumerate(wanted):
+            progress("slam", done, len(wanted))
+            variant = stages.slam(dataset, overrides(settings), name, used)
+            lost[variant], restarted = stages.mishaps(dataset, variant)
+            if restarted:
+                console.print(restarted_text(variant, restarted))
+        progress("slam", len(wanted), len(wanted))
     for variant, why in lost.items():
         if why:
-            console.print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})")
+            console.print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})", style="bold red")
     if next(iter(lost.values())):
         sys.exit(3)

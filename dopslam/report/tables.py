@@ -29,7 +29,7 @@ def run_table(summary: dict) -> Table:
     for name in variants:
         table.add_column(name.replace(", ", "\n"), justify="right")
     for label, text in _shown(variants):
-        table.add_row(label, *(text(v) for v in variants.values()))
+        table.add_row(label, *(text(v) for v in variants.values()), style="bold red" if label == "diverged" else None)
     table.caption = (
         "RMSE: root mean square over the steps; in brackets its ratio to the bound's (PEB, HEB, CEB).\n"
         f"GOSPA, and landmarks and walls found within {summary['found_within_m']:g} m, at the last step.\n"

@@ -8,6 +8,7 @@ information with the detections that were drawn; intervals are 95 % percentile b
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -164,16 +165,27 @@ def warm_up(study: Study) -> float:
     return time.perf_counter() - started
 
 
-def run_study(study: Study, runs: int, seed: int = 0, jobs: int = 1) -> list[RunResult]:
-    """`runs` independent runs, the same numbers for any `jobs`."""
+def run_study(
+    study: Study, runs: int, seed: int = 0, jobs: int = 1, told: Callable[[int], None] | None = None
+) -> list[RunResult]:
+    """`runs` independent runs, the same numbers for any `jobs`; ``told`` is called with the number that is done."""
     if runs < 1:
         raise DopslamError(f"montecarlo: runs is {runs}; it must be at least 1")
     warm_up(study)  # fills the cache of compiled code before the workers ask for it
+    told = told or (lambda done: None)
+
+    def counted(results) -> list[RunResult]:
+        kept = []
+        for result in results:
+            kept.append(result)
+            told(len(kept))
+        return kept
+
     if jobs == 1:
-        return [run_once(study, seed, r) for r in range(runs)]
+        return counted(run_once(study, seed, r) for r in range(runs))
     # Fixed batches of some tenths of a second: joblib's own grow until the last one keeps a single worker busy.
-    parallel = Parallel(n_jobs=jobs, batch_size=_BATCH)
-    return list(parallel(delayed(_warm_run)(study, seed, r) for r in range(runs)))
+    parallel = Parallel(n_jobs=jobs, batch_size=_BATCH, return_as="generator")
+    return counted(parallel(delayed(_warm_run)(study, seed, r) for r in range(runs)))
 
 
 _BATCH = 4  # runs that a worker takes at a time
