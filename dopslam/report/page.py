@@ -12,13 +12,14 @@ import math
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
+from itertools import pairwise
 
 from matplotlib.figure import Figure
 
 LEGEND = (
     ("#111111", "truth"),
     ("#0072b2", "estimated track"),
-    ("#e69f00", "virtual anchors, their walls"),
+    ("#e69f00", "walls found, their virtual anchors"),
     ("#009e73", "scatter points"),
     ("#9aa5b1", "true rays of the step"),
     ("#d55e00", "base station"),
@@ -46,11 +47,11 @@ def report_page(
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<link rel="icon" href="data:,">',
         f"<style>{_asset('page.css')}</style></head><body><main>",
-        f"<header><h1>{escape(title)}</h1>{''.join(f'<p>{escape(line)}</p>' for line in _subtitle(summary))}</header>",
+        f"<header><h1>{escape(title)}</h1>{''.join(f'<p>{escape(line)}</p>' for line in _subtitle(summary, replay))}</header>",
         _lead(summary),
         _replay_section(),
-        f'<section><h2>Errors beside their bounds</h2><div class="scroll">{_table(table)}</div></section>',
-        f'<section><h2>Figures</h2><div class="figures">{"".join(map(_svg, figures.values()))}</div></section>',
+        f'<section><h2>Errors beside their bounds</h2><div class="scroll">{_table(table)}</div>{_reading(summary)}</section>',
+        f'<section><h2>Figures</h2><div class="figures">{"".join(_svg(n, f) for n, f in figures.items())}</div></section>',
         _details("Configuration", configuration),
         _details("Versions", "\n".join(f"{name} {version}" for name, version in summary.get("versions", {}).items())),
         "<footer>Made by dopslam. Drag to turn, pinch or scroll to zoom, right-drag or two fingers to move.</footer>",
@@ -71,28 +72,68 @@ def _embedded(tree: Mapping) -> str:
     return json.dumps(tree, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _subtitle(summary: Mapping) -> list[str]:
-    seconds = summary.get("seconds")
-    lines = [f"filter {summary['filter']}"]
-    if seconds:
-        lines.append("seconds: " + ", ".join(f"{stage} {value:.1f}" for stage, value in seconds.items()))
-    return lines
+def _subtitle(summary: Mapping, replay: Mapping) -> list[str]:
+    """Where the receiver went, in a sentence."""
+    track, moment = replay["truth"]["position"], replay["time"]
+    way = sum(math.dist(a, b) for a, b in pairwise(track))
+    spent = sum(summary.get("seconds", {}).values())
+    made = f", computed in {spent:.0f} s" if spent else ""
+    return [
+        f"A receiver moved {length_text(way)} in {moment[-1] - moment[0]:.1f} s. From the echoes of one base station it found "
+        "where it was, which way it faced, and the walls and objects around it.",
+        f"Filter {summary['filter']}{made}.",
+    ]
+
+
+def length_text(meters: float) -> str:
+    """A length as a person says it."""
+    for limit, unit, factor, digits in ((0.01, "mm", 1e3, 1), (1.0, "cm", 1e2, 1), (1e3, "m", 1.0, 2)):
+        if abs(meters) < limit:
+            return f"{factor * meters:.{digits}f} {unit}"
+    return f"{meters / 1e3:.2f} km"
+
+
+def _cards(summary: Mapping) -> str:
+    """The figures that a stranger asks for first."""
+    v = summary["variants"][summary["filter"]]
+    ratio, nees = v.get("rmse_over_bound", {}).get("position"), v["nees"]
+    beside = f"{ratio:.2f} times the bound" if ratio is not None and math.isfinite(ratio) else ""
+    off = v.get("wall_distance_m")
+    trust = "about right" if 2 <= nees <= 8 else "too narrow" if nees > 8 else "too wide"
+    cards = [
+        (length_text(v["position_rmse_m"]), "position error", beside),
+        (f"{v['heading_rmse_deg']:.3f}°", "heading error", ""),
+        (f"{v['va_found']} of {v['va_total']}", "walls found", "" if off is None else f"{length_text(off)} off"),
+        (f"{v['sp_found']} of {v['sp_total']}", "small objects found", "scatter points"),
+        (trust, "its own error bars", f"NEES {nees:.1f}, 4 expected"),
+    ]
+    return (
+        '<div class="cards">'
+        + "".join(f"<div><b>{escape(a)}</b><span>{escape(b)}</span><i>{escape(c)}</i></div>" for a, b, c in cards)
+        + "</div>"
+    )
 
 
 def _lead(summary: Mapping) -> str:
     name = summary["filter"]
     v = summary["variants"][name]
     ratio = v.get("rmse_over_bound", {}).get("position")
-    beside = f", {ratio:.2f} times the posterior Cramér–Rao bound" if ratio is not None and math.isfinite(ratio) else ""
+    beside = (
+        f", {ratio:.2f} times the posterior Cramér–Rao bound, which no filter can stay below on average"
+        if ratio is not None and math.isfinite(ratio)
+        else ""
+    )
     clock = v["clock_bias_rmse_m"]
-    timed = f", its clock to {clock:.3f} m" if clock is not None and math.isfinite(clock) else ""
+    timed = (
+        f" and its clock to {length_text(clock)} of light travel" if clock is not None and math.isfinite(clock) else ""
+    )
     sentences = [
-        f"The receiver was found to {v['position_rmse_m']:.3f} m{beside}, its heading to "
+        f"The receiver was found to {length_text(v['position_rmse_m'])}{beside}; its heading to "
         f"{v['heading_rmse_deg']:.3f}°{timed} (root mean squares over the steps).",
-        f"In the final map: {v['va_found']} of {v['va_total']} reflecting walls (virtual anchors) and "
-        f"{v['sp_found']} of {v['sp_total']} scatter points.",
+        "A wall is found as the mirror image of the base station behind it, its virtual anchor; a scatter point is a small "
+        "object that throws the wave about.",
     ]
-    body = "".join(f'<p class="lead">{escape(s)}</p>' for s in sentences)
+    body = _cards(summary) + "".join(f'<p class="lead">{escape(s)}</p>' for s in sentences)
     lost = [n for n, figures in summary["variants"].items() if figures.get("diverged")]
     alarm = f'<p class="lead alarm">Diverged: {escape(", ".join(lost))}. Do not use this track.</p>' if lost else ""
     anew = "".join(
@@ -114,7 +155,7 @@ def _replay_section() -> str:
         '<input id="replay-step" type="range" min="0" value="0" aria-label="step"></div>'
         '<p id="replay-readout"></p>'
         f'<div class="controls"><label>filter <select id="replay-filter"></select></label>'
-        '<label>ellipsoids and bands larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
+        '<label class="wide">show uncertainty larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
         f'value="0"></label>{boxes}</div><ul class="legend">{legend}</ul></section>'
     )
 
@@ -132,9 +173,29 @@ def _details(title: str, text: str) -> str:
     return f"<section><details><summary>{title}</summary><pre>{escape(text)}</pre></details></section>"
 
 
-def _svg(figure: Figure) -> str:
-    """The picture as an inline SVG element."""
+CAPTIONS = {
+    "plan": "Where it went and what it found: the true track and walls in black and gray, estimates in color. Ellipses and bands "
+    "hold 95 % of what the filter thinks possible.",
+    "errors": "Blue: how far off it was at every step. Orange: the standard deviation that the best filter would have.",
+    "gospa": "How wrong the map is: missed and false landmarks and distances in one number that falls as the map is learned.",
+    "detections": "What the channel estimator reported (crosses) over what was there (circles).",
+}
+
+
+def _reading(summary: Mapping) -> str:
+    """How the table is read, in words."""
+    near = f"{summary['found_within_m']:g} m"
+    return (
+        '<p class="note">In brackets the error over its bound: 1 is the best that can be. NEES compares the errors with the '
+        "filter's own covariance, 4 is right, more is overconfident. GOSPA counts missed, false and shifted landmarks, "
+        f"0 is a perfect map. VA: virtual anchor, SP: scatter point; found means within {near} at the last step.</p>"
+    )
+
+
+def _svg(name: str, figure: Figure) -> str:
+    """The picture as an inline SVG element with its caption."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg")
     text = buffer.getvalue()
-    return f"<figure>{text[text.index('<svg') :]}</figure>"
+    caption = f"<figcaption>{escape(CAPTIONS[name])}</figcaption>" if name in CAPTIONS else ""
+    return f"<figure>{text[text.index('<svg') :]}{caption}</figure>"

@@ -8,6 +8,7 @@ import subprocess
 import pytest
 
 from dopslam.pipeline import file as stages
+from dopslam.report.page import length_text
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
@@ -38,6 +39,25 @@ def test_the_page_needs_no_network_and_stays_small(page):
     tree = json.loads(re.search(r'id="replay-data">(.*?)</script>', text, re.S).group(1))
     assert len(tree["truth"]["position"]) == 6 and list(tree["filters"]) == ["joint"]
     assert "times the posterior Cramér–Rao bound" in text
+
+
+def test_a_stranger_is_told_where_it_went_what_was_found_and_how_good_it_is(page):
+    text = page.read_text(encoding="utf-8")
+    summary = json.loads(page.with_name("summary.json").read_text(encoding="utf-8"))
+    cards = re.findall(r"<div><b>([^<]*)</b><span>([^<]*)</span><i>([^<]*)</i></div>", text)
+    told = {what: (figure, more) for figure, what, more in cards}
+    assert told["walls found"][0] == f"{summary['va_found']} of {summary['va_total']}"
+    assert told["position error"][0] == length_text(summary["position_rmse_m"])
+    assert "4 expected" in told["its own error bars"][1]
+    assert re.search(r"A receiver moved 5[0-9]\.\d\d m in 2\.5 s", text)  # 22.22 m/s
+    assert text.count("<figcaption>") == 3
+
+
+@pytest.mark.parametrize(
+    ("meters", "text"), [(0.0044, "4.4 mm"), (0.044, "4.4 cm"), (0.44, "44.0 cm"), (4.4, "4.40 m"), (4400, "4.40 km")]
+)
+def test_lengths_are_said_as_people_say_them(meters, text):
+    assert length_text(meters) == text
 
 
 def test_names_cannot_break_the_page():

@@ -7,7 +7,7 @@
   const stage = document.getElementById("replay-stage");
   const readout = document.getElementById("replay-readout");
   const slider = document.getElementById("replay-step");
-  const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xffe9a8, bs: 0xd55e00 };
+  const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xfff6d8, edge: 0xb37a00, bs: 0xd55e00 };
   const KIND = ["base station", "virtual anchor", "scatter point", "second reflection"];
   const names = Object.keys(data.filters);
   const steps = data.truth.position.length;
@@ -40,7 +40,8 @@
   const size = Math.max(frame.getSize(new THREE.Vector3()).length(), 1);
   const camera = new THREE.PerspectiveCamera(45, 1, size / 2000, size * 40);
   camera.up.set(0, 0, 1);
-  const far = stage.clientWidth < 500 ? 1.5 : 1; // a phone held upright sees less to the sides
+  const shape = stage.clientWidth / height(stage.clientWidth);
+  const far = Math.max(0.92, 1.45 / shape); // a phone held upright sees less to the sides
   camera.position.set(center.x - 0.2 * far * size, center.y - 0.6 * far * size, center.z + 0.8 * far * size);
   const controls = new THREE.OrbitControls(camera, renderer.domElement);
   controls.target.copy(center);
@@ -66,6 +67,11 @@
     const result = new THREE.Line(geometry, material);
     if (dashed) result.computeLineDistances();
     return result;
+  }
+  function dots(points, color) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flat(), 3));
+    return new THREE.Points(geometry, new THREE.PointsMaterial({ color: color, size: 5, sizeAttenuation: false }));
   }
   const ball = new THREE.SphereGeometry(1, 20, 14);
   function sphere(position, radius, color, opacity) {
@@ -139,6 +145,7 @@
     if (filter) {
       const path = filter.position.slice(0, step + 1);
       if (path.length > 1) group.now.add(line(path, COLOR.estimate));
+      group.now.add(dots(path, COLOR.estimate));
       const ue = filter.position[step], f = filter.factor[step];
       group.now.add(ellipsoid(ue, [f[0], f[1], f[2], 0, 0, 0], COLOR.estimate, 0.55));
       group.now.add(sphere(ue, size / 180, COLOR.estimate, 1));
@@ -149,7 +156,8 @@
         group.map.add(sphere(row.slice(5, 8), size / 300, color, opacity));
       });
       filter.walls[step].forEach(([c, shift]) => {
-        group.walls.add(quad(c, COLOR.va, 0.5));
+        group.walls.add(quad(c, COLOR.va, 0.55));
+        group.walls.add(line([...c, c[0]], COLOR.edge));
         [-1, 1].forEach((side) => {
           const edge = c.map((p) => p.map((v, i) => v + side * state.enlarge * shift[i]));
           group.walls.add(quad(edge, COLOR.va, 0.14));
@@ -180,10 +188,13 @@
   function draw() {
     renderer.render(scene, camera);
   }
+  function height(width) {
+    return Math.max(300, Math.min(620, Math.round((width < 600 ? 0.85 : 0.62) * width), window.innerHeight - 120));
+  }
   function resize() {
-    const width = stage.clientWidth, height = Math.max(280, Math.min(620, Math.round(0.62 * width), window.innerHeight - 120));
-    renderer.setSize(width, height);
-    camera.aspect = width / height;
+    const width = stage.clientWidth;
+    renderer.setSize(width, height(width));
+    camera.aspect = width / height(width);
     camera.updateProjectionMatrix();
     draw();
   }
