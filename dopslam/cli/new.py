@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -54,7 +54,7 @@ def new(
 
     if kind is None and source is None:
         kind, source = _asked()
-    given = {"wall": wall} if wall else {}
+    given: dict[str, Any] = {"wall": wall} if wall else {}
     if height is not None:
         positive(str(height), "--height", "give meters, above 0")
         given |= {"height": height, "building_height": height}

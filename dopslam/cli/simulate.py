@@ -28,5 +28,7 @@ def simulate(
     from dopslam.config.scenario import load
     from dopslam.pipeline import file as stages
 
-    flags = overrides(settings, source__kind="model", source__model__doppler_std=doppler_std and str(doppler_std))
+    flags = overrides(
+        settings, source__kind="model", source__model__doppler_std=None if doppler_std is None else str(doppler_std)
+    )
     stages.simulate(out, load(scene, flags), seed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 from dopslam.errors import DopslamError
 
@@ -41,7 +42,8 @@ def workers(address: str | None) -> Iterator[int | None]:
             f"--cluster {address!r}: no Dask scheduler answers there ({type(error).__name__}); start one with 'dask scheduler'"
         ) from error
     try:
-        threads = sum(client.nthreads().values())
+        told: Any = client.nthreads()  # a client that is not asynchronous answers at once
+        threads = sum(told.values())
         if not threads:
             raise DopslamError(
                 f"--cluster {address!r}: the scheduler has no workers; start some with 'dask worker {address}'"

@@ -43,8 +43,8 @@ def generated(kind: str, seed: int, options: Any, tree: dict):
 
     radio = tree.get("radio")
     carrier = radio.get("carrier_frequency") if isinstance(radio, dict) else None
-    known = isinstance(carrier, int | float) and carrier > 0
-    return generate(kind, seed, options if isinstance(options, dict) else None, float(carrier) if known else None)
+    known = float(carrier) if isinstance(carrier, int | float) and carrier > 0 else None
+    return generate(kind, seed, options if isinstance(options, dict) else None, known)
 
 
 def under(given: Any, made: Any) -> Any:

@@ -283,7 +283,7 @@ def _read(scenario: Scenario, config: FileTracks) -> tuple[np.ndarray, dict[str,
         raise ConfigError(f"{path}: drives are whole numbers from 0, the rows of each together; got {ids.tolist()[:6]}")
     for part in np.split(rows["time"], edges):
         rising(path, part)
-    return np.diff([0, *edges, count]), _completed(rows, edges, scenario), ids.astype(np.int64)
+    return np.diff(np.array([0, *edges.tolist(), count])), _completed(rows, edges, scenario), ids.astype(np.int64)
 
 
 def _completed(rows: dict[str, np.ndarray], edges: np.ndarray, scenario: Scenario) -> dict[str, np.ndarray]:

@@ -106,7 +106,7 @@ def row_information(covariance: Array, weight: ArrayLike = 1.0, where: str = "(s
     with np.errstate(invalid="ignore"):
         scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     unit = scale[..., :, None] * scale[..., None, :]
-    sound = np.isfinite(matrix).all(axis=(-1, -2)) & (scale > 0).all(axis=-1)
+    sound = np.asarray(np.isfinite(matrix).all(axis=(-1, -2)) & (scale > 0).all(axis=-1))
     correlation = np.where(sound[..., None, None], matrix / np.where(unit > 0, unit, 1.0), np.eye(matrix.shape[-1]))
     sound &= np.linalg.eigvalsh(correlation)[..., 0] > 1e-14
     if not sound.all():

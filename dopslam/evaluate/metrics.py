@@ -103,7 +103,7 @@ def nees(error: Array, covariance: Array) -> Array:
     both = used[..., :, None] & used[..., None, :]
     scale = np.sqrt(np.where(used, variance, 1.0))
     matrix = np.where(both, covariance, np.eye(error.shape[-1])) / (scale[..., :, None] * scale[..., None, :])
-    number = ~np.isnan(covariance).any(axis=(-1, -2)) & np.isfinite(error).all(axis=-1)
+    number = np.asarray(~np.isnan(covariance).any(axis=(-1, -2)) & np.isfinite(error).all(axis=-1))
     matrix = np.where(number[..., None, None], matrix, np.eye(error.shape[-1]))
     values, vectors = np.linalg.eigh(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
     turned = np.einsum("...ij,...i->...j", vectors, np.where(used & number[..., None], error, 0.0) / scale)

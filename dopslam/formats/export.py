@@ -91,7 +91,7 @@ def _csv(parts: list[Part], out: Path) -> None:
             owner = np.repeat(steps.index, np.diff(paths.offsets))
             paths_file.writerows(zip(
                 owner.tolist(), landmarks.name[mark].tolist(), [Kind(k).name for k in landmarks.kind[mark].tolist()],
-                landmarks.order[mark].tolist(), paths.a.real.tolist(), paths.a.imag.tolist(),
+                landmarks.order[mark].tolist(), np.real(paths.a).tolist(), np.imag(paths.a).tolist(),
                 *(getattr(paths, name).tolist() for name in columns), strict=True,
             ))  # fmt: skip
             positions_file.writerows(zip(

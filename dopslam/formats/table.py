@@ -265,7 +265,7 @@ def detections(
         noise_variance=np.ones(count),
         threshold=float(snr.min(initial=np.inf)) if len(snr) else 1.0,
         false_alarm_rate=float(scenario.source.model.clutter_rate),
-        search_volume=unmeasured.volume(metres, missing.any(axis=0)),
+        search_volume=unmeasured.volume(metres, np.asarray(missing.any(axis=0))),
         time=time, delay_range=np.inf if mapping.delay_modulo is None else mapping.delay_modulo * _delay_unit(mapping),
     )  # fmt: skip
 

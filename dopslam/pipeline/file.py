@@ -18,7 +18,8 @@ from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name, walls_of
 from dopslam.pipeline.reads import refuse_unread
-from dopslam.pipeline.stages import Progress, StoredSignal, SyntheticSignal, quiet
+from dopslam.pipeline.signals import StoredSignal
+from dopslam.pipeline.stages import Progress, SyntheticSignal, quiet
 from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track
 from dopslam.records.consistency import misfits
 from dopslam.report import figures, folder, page, replay, tables

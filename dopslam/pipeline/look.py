@@ -37,7 +37,7 @@ def look(scenario: Scenario, seed: int = 0) -> Outlook:
     )
     _, points, settings = pipeline.tracing_inputs(scenario, seed)
     landmarks, paths = raytracing.trace(
-        scene, scenario.radio.carrier_frequency, scenario.base_station.position, few.position, few.velocity, points,
+        scene, scenario.radio.carrier_frequency, np.array(scenario.base_station.position), few.position, few.velocity, points,
         replace(settings, samples=min(settings.samples, RAYS)),
     )  # fmt: skip
     seen = outlook(scenario, few, landmarks, paths, np.arange(len(steps)))

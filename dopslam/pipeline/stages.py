@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -26,13 +25,13 @@ from dopslam.pipeline import problem as build
 from dopslam.pipeline.judge import match_series
 from dopslam.pipeline.own import own_track
 from dopslam.pipeline.seeds import Component, generator
+from dopslam.pipeline.signals import Snapshots
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
 from dopslam.slam.filter import Problem
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.health import divergence
 from dopslam.slam.history import History
-from dopslam.store import file as dataset
 
 Progress = Callable[[str, int, int], None]
 
@@ -107,7 +106,7 @@ def trace(scenario: Scenario, seed: int, progress: Progress = quiet) -> Truth:
     progress("trace", 0, track.steps)
     loaded = preflight.checked_scene(scenario, track.position)
     landmarks, paths = raytracing.trace(
-        loaded, carrier, scenario.base_station.position, track.position, track.velocity, points, settings
+        loaded, carrier, np.array(scenario.base_station.position), track.position, track.velocity, points, settings
     )
     progress("trace", track.steps, track.steps)
     plan = _plan(raytracing.floor_plan(loaded.surfaces, scenario.receiver.height))
@@ -180,19 +179,6 @@ class SyntheticSignal:
         return synthesize_snapshot(parse(self.scenario_toml), self.track, self.paths, step, self.seed)
 
 
-@dataclass(frozen=True)
-class StoredSignal:
-    """Snapshots read from a dataset file, perhaps somebody else's."""
-
-    path: Path
-    steps: int
-    time: np.ndarray | None = None
-
-    def snapshot(self, step: int) -> np.ndarray:
-        """Received signal of one step."""
-        return dataset.read_snapshot(self.path, step)
-
-
 def _estimate_steps(scenario_toml: str, threshold: float | None, signal, steps: list[int]) -> list:
     from estimation.estimators import estimated
 
@@ -200,9 +186,7 @@ def _estimate_steps(scenario_toml: str, threshold: float | None, signal, steps: 
     return [(step, estimated(estimator, signal.snapshot(step))) for step in steps]
 
 
-def estimate(
-    scenario: Scenario, signal: SyntheticSignal | StoredSignal, jobs: int = 1, progress: Progress = quiet
-) -> DetectionSeries:
+def estimate(scenario: Scenario, signal: Snapshots, jobs: int = 1, progress: Progress = quiet) -> DetectionSeries:
     """Detections of every snapshot, estimated without a look at the truth.
 
     Parameters
@@ -222,7 +206,7 @@ def estimate(
     progress("estimate", 0, signal.steps)
     threshold = getattr(_estimator(text), "threshold", None)  # calibrated once, on noise alone
     for done in parallel(delayed(_estimate_steps)(text, threshold, signal, steps) for steps in chunks):
-        found.update(done)
+        found.update(done or ())
         progress("estimate", len(found), signal.steps)
     return stack_detections(scenario, [found[step] for step in range(signal.steps)], signal.time)
 

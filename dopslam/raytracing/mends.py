@@ -22,6 +22,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import MethodType
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,7 @@ def mend_endpoints(scene) -> None:
 def born_at(frequency: float) -> Iterator[None]:
     """Scenes loaded within have this frequency [Hz] from the start."""
     backend()
-    module = sys.modules["sionna.rt.scene"]
+    module: Any = sys.modules["sionna.rt.scene"]
     before = module.DEFAULT_FREQUENCY
     if _tested():
         module.DEFAULT_FREQUENCY = frequency

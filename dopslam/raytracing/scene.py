@@ -132,7 +132,7 @@ def load_scene(source: SceneSource, carrier_frequency: float, all_of: str | None
     mend_endpoints(scene)
     pattern = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="VH")
     scene.tx_array = scene.rx_array = pattern
-    meshes = {authors_name.get(name, name): _triangles(item.mi_mesh) for name, item in scene.objects.items()}
+    meshes = {str(authors_name.get(name, name)): _triangles(item.mi_mesh) for name, item in scene.objects.items()}
     surfaces = build_surfaces(dict(sorted(meshes.items())))
     return LoadedScene(scene, surfaces, file.stem, carrier_frequency, authors_name)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -29,14 +30,17 @@ def house_style():
     """Context manager with the shipped style over matplotlib's own defaults, whatever the user's settings are."""
     style = mpl.rc_params_from_file(str(files("dopslam.report") / "dopslam.mplstyle"), use_default_template=False)
     plain = {key: value for key, value in mpl.rcParamsDefault.items() if not key.startswith(OF_WINDOWS)}
-    return mpl.rc_context(plain | dict(style))
+    settings: Any = plain | dict(style)  # the stub wants the names of all keys
+    return mpl.rc_context(settings)
 
 
 def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, enlarged: float) -> None:
     values, vectors = np.linalg.eigh(covariance)
     width, height = 2 * enlarged * np.sqrt(_CHI2_95_2D * np.maximum(values, 0))
     angle = np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0]))
-    axes.add_patch(Ellipse(mean, width, height, angle=angle, fill=False, color=color, linewidth=1.2, zorder=4))
+    axes.add_patch(
+        Ellipse((mean[0], mean[1]), width, height, angle=angle, fill=False, color=color, linewidth=1.2, zorder=4)
+    )
 
 
 def _enlargement(covariances: np.ndarray, extent: float) -> int:
@@ -76,7 +80,9 @@ def plan_view(
     bs = landmarks.position[landmarks.kind == Kind.BS][0]
     upright = [c[:2, :2] for c, n in _upright(true_walls(track, landmarks))]
     for number, line in enumerate(upright if plan is None else ()):
-        axes.plot(*line.T, color=WALL, linewidth=4, label="true walls" if number == 0 else None, zorder=1)
+        axes.plot(
+            line[:, 0], line[:, 1], color=WALL, linewidth=4, label="true walls" if number == 0 else None, zorder=1
+        )
     if paths is not None:
         _rays(axes, bs, track, paths, step)
     axes.plot(*bs[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5, linestyle="none")

@@ -109,7 +109,7 @@ def _filter(history: History, base_station: np.ndarray, height: float, threshold
     return {
         "position": _round(receiver),
         "heading": _round(history.mean[:, 2], 4),
-        "factor": _round([_factor(c[:2, :2])[np.tril_indices(2)] for c in history.covariance], 4),
+        "factor": _round(np.array([_factor(c[:2, :2])[np.tril_indices(2)] for c in history.covariance]), 4),
         "map": [_map(history, k, receiver[k], base_station, threshold) for k in range(history.steps)],
         "walls": [_walls(walls(history, base_station, height, k, threshold)) for k in range(history.steps)],
     }
@@ -124,7 +124,7 @@ def _factor(covariance: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor; of what is positive in a covariance that is not quite."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.linalg.qr(root.T, mode="r").T
+    return np.asarray(np.linalg.qr(root.T, mode="r")).T
 
 
 def _map(history: History, step: int, receiver: np.ndarray, base_station: np.ndarray, threshold: float) -> list:

@@ -228,7 +228,7 @@ def _detected(rng, state: Array, landmarks: Landmarks, station: Array, seen) -> 
         time=np.arange(1.0, steps + 1),
     )
     track = Track(
-        time=detections.time,
+        time=np.arange(1.0, steps + 1),
         position=np.column_stack([state[:, :2], np.full(steps, HEIGHT)]),
         heading=state[:, 2],
         velocity=np.zeros((steps, 3)),
@@ -246,7 +246,7 @@ def _first_way(arrival: Array, landmarks: Landmarks, which: NDArray[np.int64]) -
 
     Backwards along the path each wall mirrors the direction: walls of one axis twice leave it, of both turn it about.
     """
-    first = np.array([landmarks.name[i].split()[1:][0] for i in which]).astype(int)
-    second = np.array([landmarks.name[i].split()[-1] for i in which]).astype(int)
+    first = np.array([str(landmarks.name[i]).split()[1] for i in which]).astype(int)
+    second = np.array([str(landmarks.name[i]).split()[-1] for i in which]).astype(int)
     same = first // 2 == second // 2
     return np.where(same, arrival + np.pi, arrival)

@@ -218,7 +218,7 @@ def draw_scans(
     detected = rng.random((steps, count)) < probability
     z = exact + np.einsum("klij,klj->kli", np.linalg.cholesky(covariance), errors)
     false_counts = clutter_rng.poisson(situation.clutter_count, steps)
-    columns: list[tuple[Array, ...]] = []
+    columns: list[tuple[NDArray, ...]] = []
     for k in range(steps):
         seen = np.flatnonzero(detected[k])
         false_z, false_covariance, false_snr = _draw_clutter(

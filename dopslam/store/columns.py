@@ -37,7 +37,7 @@ class Sha256:
         if self._thread is not None:
             self._thread.shutdown(cancel_futures=True)
 
-    def update(self, block: bytes | np.ndarray) -> None:
+    def update(self, block: bytes | memoryview) -> None:
         """Add a block, which must not change afterwards."""
         if self._thread is None:
             self._sha.update(block)
@@ -76,6 +76,22 @@ def digest(columns: dict[str, np.ndarray], scalars: dict[str, Any]) -> str:
     return sha.hexdigest()
 
 
+def group_in(file: h5py.File, name: str) -> h5py.Group:
+    """A group of a file; ValueError where something else has its name."""
+    found = file[name]
+    if not isinstance(found, h5py.Group):
+        raise ValueError(f"{name} is no group")
+    return found
+
+
+def array_in(node: h5py.Group, name: str) -> h5py.Dataset:
+    """A dataset of a group; ValueError where something else has its name."""
+    found = node[name]
+    if not isinstance(found, h5py.Dataset):
+        raise ValueError(f"{node.name}/{name} is no array")
+    return found
+
+
 def read(node: h5py.Group, names: Iterable[str], scalars: dict[str, Any]) -> tuple[dict[str, np.ndarray], str]:
     """Columns of a group and the sha256 of its content, as :func:`digest` computes it.
 
@@ -86,9 +102,9 @@ def read(node: h5py.Group, names: Iterable[str], scalars: dict[str, Any]) -> tup
     """
     found: dict[str, np.ndarray] = {}
     names = sorted(names)
-    with Sha256(sum(node[name].nbytes for name in names)) as sha:
-        for name in names:
-            data = node[name]
+    arrays = {name: array_in(node, name) for name in names}
+    with Sha256(sum(data.nbytes for data in arrays.values())) as sha:
+        for name, data in arrays.items():
             if not _lies_plain(data):
                 found[name] = texts(data[()])
                 for block in _hashed(name, found[name]):
@@ -100,7 +116,7 @@ def read(node: h5py.Group, names: Iterable[str], scalars: dict[str, Any]) -> tup
             at = 0
             for block in _chunks(data):
                 raw[at : at + len(block)] = block
-                sha.update(raw[at : at + len(block)])
+                sha.update(raw[at : at + len(block)].data)
                 at += len(block)
         sha.update(_scalars(scalars))
         return found, sha.hexdigest()
@@ -109,17 +125,17 @@ def read(node: h5py.Group, names: Iterable[str], scalars: dict[str, Any]) -> tup
 def stream_digest(data: h5py.Dataset) -> str:
     """sha256 of a dataset's bytes alone, a row at a time at most in memory beside those on their way."""
     with Sha256(data.nbytes) as sha:
-        blocks = _chunks(data) if _lies_plain(data) else (row.tobytes() for row in data)
+        blocks = (chunk.data for chunk in _chunks(data)) if _lies_plain(data) else (row.tobytes() for row in data)
         for block in blocks:
             sha.update(block)
         return sha.hexdigest()
 
 
-def _hashed(name: str, array: np.ndarray) -> Iterator[bytes | np.ndarray]:
+def _hashed(name: str, array: np.ndarray) -> Iterator[bytes | memoryview]:
     array = np.ascontiguousarray(array)
     yield _header(name, array)
     text = array.dtype.kind == "O"
-    yield array.reshape(-1).view(np.uint8) if not text else "\0".join(map(str, array)).encode()
+    yield array.reshape(-1).view(np.uint8).data if not text else "\0".join(map(str, array)).encode()
 
 
 def _header(name: str, array: np.ndarray) -> bytes:
@@ -143,6 +159,7 @@ def _lies_plain(data: h5py.Dataset) -> bool:
 
 def _chunks(data: h5py.Dataset) -> Iterator[np.ndarray]:
     """Bytes of a dataset in order, chunk by chunk, without the sums."""
+    assert data.chunks is not None  # or it does not lie plain
     row = data.nbytes // len(data)
     rows, rest = data.chunks[0], (0,) * (data.ndim - 1)
     for first in range(0, len(data), rows):

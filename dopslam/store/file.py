@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
-from dopslam.store.columns import chunk_shape, digest, read, stream_digest, texts
+from dopslam.store.columns import array_in, chunk_shape, digest, group_in, read, stream_digest, texts
 from dopslam.store.schema import (
     EARLIER,
     READ,
@@ -125,12 +125,15 @@ def _reading(path: Path) -> Iterator[h5py.File]:
 def _check_self_contained(path: Path, file: h5py.File) -> None:
     """Refuse what would be read from other files: their content is nobody's data here, and may be anybody's secret."""
     for place in (file, *(file[name] for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink))):
-        for name in place if isinstance(place, h5py.Group) else ():
+        if not isinstance(place, h5py.Group):
+            continue
+        for name in place:
             link = place.get(name, getlink=True)
             where = f"{place.name}/{name}".replace("//", "/")
             if isinstance(link, h5py.ExternalLink):
                 raise DatasetError(f"{path}: {where} is a link into {link.filename!r}; copy its content into this file")
-            if isinstance(link, h5py.HardLink) and isinstance(place[name], h5py.Dataset) and place[name].external:
+            member = place[name] if isinstance(link, h5py.HardLink) else None
+            if isinstance(member, h5py.Dataset) and member.external:
                 raise DatasetError(f"{path}: {where} is stored in another file; copy its content into this one")
 
 
@@ -273,7 +276,7 @@ def _read_group(file: h5py.File, path: Path, group: str, record_type: type[Recor
         if plain(node.attrs["sha256"]) != found:
             raise DatasetError(f"{path}: the content of {group!r} does not match its checksum; the file is damaged")
     else:
-        columns = {name: texts(node[name][()]) for name in names}
+        columns = {name: texts(array_in(node, name)[()]) for name in names}
     for name, array in columns.items():
         name, convert = earlier.get(name, (name, lambda array: array))
         values[name] = convert(array.astype(str) if array.dtype.kind == "O" else array)
@@ -336,23 +339,25 @@ def read_snapshot(path: str | Path, step: int) -> np.ndarray:
     with _reading(Path(path)) as file:
         if "signal" not in file:
             raise DatasetError(f"{path}: holds no 'signal'; run 'dopslam synthesize {path}' first")
-        return file["signal/y"][step]
+        return array_in(file, "signal/y")[step]
 
 
 def signal_steps(path: str | Path) -> int:
     """Number of stored snapshots, 0 if the dataset holds no signal."""
     with _reading(Path(path)) as file:
-        return file["signal/y"].shape[0] if "signal" in file else 0
+        return array_in(file, "signal/y").shape[0] if "signal" in file else 0
 
 
 def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
     """Rows (group, array, shape, type, units) of everything a dataset holds."""
     with _reading(Path(path)) as file:
+        nodes = [(group, group_in(file, group)) for group in sorted(file)]
+        arrays = [
+            (group, n, array_in(node, n)) for group, node in nodes for n in map(str, node) if not is_scale(node, n)
+        ]
         return [
             (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(plain(data.attrs.get("units", ""))))
-            for group in sorted(file)
-            for name, data in file[group].items()
-            if not is_scale(file[group], name)
+            for group, name, data in arrays
         ]
 
 
@@ -383,11 +388,11 @@ def verify_group(path: str | Path, group: str) -> str:
         When it cannot be read or does not match the hash stated in the file.
     """
     with _reading(Path(path)) as file:
-        node = file[group]
+        node = group_in(file, group)
         if group == "signal":
-            found = stream_digest(node["y"])
+            found = stream_digest(array_in(node, "y"))
         else:
-            names = [name for name in node if not is_scale(node, name)]
+            names = [name for name in map(str, node) if not is_scale(node, name)]
             scalars = {k: plain(v) for k, v in node.attrs.items() if k not in ("record", "sha256")}
             _, found = read(node, names, scalars)
         stated = plain(node.attrs.get("sha256"))

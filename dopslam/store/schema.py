@@ -222,6 +222,7 @@ def annotate(node: h5py.Group, record: str) -> None:
     dimensions = DIMENSIONS.get(record, {})
     for name in dimensions.keys() & node.keys():
         data, named = node[name], dimensions[name]
+        assert isinstance(data, h5py.Dataset)  # a column that was just written
         if name in FRAMES:
             set_text(data, "frame", FRAMES[name])
         if (record, name) in DESCRIPTIONS:

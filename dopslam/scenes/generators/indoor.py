@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,9 @@ def indoor(rng: np.random.Generator, carrier: float | None, options: dict, style
     drive = {
         "speed": style.speed, "turn_rate": style.turn_rate, "period": 0.2, "steps": (40, 60), "bias": (0.0, 10.0, 30.0),
     }  # fmt: skip
-    walk = draw.track(rng, starts, things, inside, style.clearance, drive) | {"start_std": [0.1, 0.1, 0.0052, 0.3]}
+    walk: dict[str, Any] = draw.track(rng, starts, things, inside, style.clearance, drive) | {
+        "start_std": [0.1, 0.1, 0.0052, 0.3]
+    }
     way = draw.turn(np.array(walk["start"]), walk["speed"], walk["turn_rate"], walk["period"], walk["steps"])
 
     def place(rng):
@@ -131,7 +134,7 @@ def _things(rng, length, width, height, options, style: Style, carrier: float) -
             tall = min(draw.within(rng, style.furniture_height), height - 0.3)
             wood = draw.material(rng, style.furniture_material, carrier)
             box = Box(f"{draw.one_of(rng, style.furniture)}_{number}", wood, spot, tuple(half), yaw, tall)
-            apart = all(other.clearance([spot])[0] > np.hypot(*half) + 0.1 for other in boxes)
+            apart = all(other.clearance(np.array([spot]))[0] > np.hypot(*half) + 0.1 for other in boxes)
             if apart:
                 boxes.append(box)
                 break

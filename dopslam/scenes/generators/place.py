@@ -157,10 +157,11 @@ def _around(spot, rays, reach, local, habit: Habit, ground, blocked, rng) -> Pla
         return None
     _, station, seen = max(options, key=lambda option: option[0])
     look = spot - station
+    (x, y), (first_x, first_y) = (tuple(round(float(v), 2) for v in place[:2]) for place in (station, way[0]))
     return Placed(
-        (*(round(float(v), 2) for v in station), round(ground + habit.station_height, 2)),
+        (x, y, round(ground + habit.station_height, 2)),
         float(np.arctan2(look[1], look[0])),
-        (*(round(float(v), 2) for v in way[0]), round(float(np.arctan2(heading[1], heading[0])), 4)),
+        (first_x, first_y, round(float(np.arctan2(heading[1], heading[0])), 4)),
         speed,
         round(at, 2),
         seen,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,9 +47,10 @@ def read_geojson(path: Path) -> tuple[list[Feature], bool]:
 
 
 def _features(entry: dict, number: int) -> list[Feature]:
-    geometry = entry.get("geometry", entry) or {}
-    properties = entry.get("properties") or {}
-    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    geometry: dict[str, Any] = entry.get("geometry", entry) or {}
+    properties: dict[str, Any] = entry.get("properties") or {}
+    kind = str(geometry.get("type"))
+    coordinates: Any = geometry.get("coordinates")
     if kind == "GeometryCollection":
         return [
             f
@@ -61,7 +63,7 @@ def _features(entry: dict, number: int) -> list[Feature]:
         "Polygon": lambda: [(coordinates, True)],
         "MultiPolygon": lambda: [(area, True) for area in coordinates],
     }.get(kind, list)()
-    name = str(properties.get("name") or f"{'block' if kind and 'Polygon' in kind else 'wall'}_{number}")
+    name = str(properties.get("name") or f"{'block' if 'Polygon' in kind else 'wall'}_{number}")
     height = properties.get("height")
     common = {
         "height": None if height is None else _positive(height),

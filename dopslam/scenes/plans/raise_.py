@@ -121,7 +121,15 @@ def _sheets(name: str, material: str, line: np.ndarray, height: float) -> list[S
     for number, (a, b) in enumerate(itertools.pairwise(line), start=1):
         middle, along = 0.5 * (a + b), 0.5 * (b - a)
         label = name if len(line) == 2 else f"{name}_{number}"
-        sheets.append(Sheet(label, material, (*map(float, middle), half), (*map(float, along), 0.0), (0, 0, half)))
+        sheets.append(
+            Sheet(
+                label,
+                material,
+                (float(middle[0]), float(middle[1]), half),
+                (float(along[0]), float(along[1]), 0.0),
+                (0, 0, half),
+            )
+        )
     return sheets
 
 
@@ -142,8 +150,8 @@ def block(feature: Feature, height: float, material: str) -> Mesh:
     for part in map(shapely.geometry.polygon.orient, parts):
         for triangle in shapely.constrained_delaunay_triangles(part).geoms:
             a, b, c = shapely.geometry.polygon.orient(triangle).exterior.coords[:3]
-            faces.append(tuple(corner(p, height) for p in (a, b, c)))
-            faces.append(tuple(corner(p, 0.0) for p in (c, b, a)))
+            faces.append((corner(a, height), corner(b, height), corner(c, height)))
+            faces.append((corner(c, 0.0), corner(b, 0.0), corner(a, 0.0)))
         for ring in (part.exterior, *part.interiors):
             for p, q in zip(ring.coords[:-1], ring.coords[1:], strict=True):
                 i, j, k, m = corner(p, 0.0), corner(q, 0.0), corner(q, height), corner(p, height)
