@@ -11,7 +11,6 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -57,7 +56,7 @@ print(ds.evaluate(truth, ds.bound(problem, truth, mine), thin=thin))
 class LineOfSight:
     """An extended Kalman filter that believes the earliest detection to be the line of sight, and ignores the others."""
 
-    capabilities: ClassVar[ds.Capabilities] = ds.Capabilities(doppler=False)
+    capabilities = ds.Capabilities(doppler=False)
     gate: float = 20.0
 
     def init(self, problem, rng):

@@ -166,9 +166,11 @@ class Filter(Protocol):
 
     def init(self, problem: Problem, rng: np.random.Generator) -> Any:
         """State before the first scan."""
+        ...
 
     def step(self, state: Any, scan: Scans, rng: np.random.Generator) -> tuple[Any, Info]:
         """State after a scan (``Scans`` of one step), and what is to be told of it."""
+        ...
 
 
 def run(

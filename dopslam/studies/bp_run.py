@@ -10,6 +10,7 @@ import numpy as np
 
 from dopslam.evaluate.metrics import gospa, nees
 from dopslam.models.measurement import wrap
+from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.experiment import Experiment, Truth
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell, State
 from dopslam.slam.belief.records import Form, Info, Scan
@@ -38,7 +39,7 @@ class History:
 
 
 def run(
-    filter_: RaoBlackwell | Stacked,
+    filter_: RaoBlackwell | Conditional | Stacked,
     rng: np.random.Generator,
     scans: Sequence[Scan],
     box: Box,
@@ -143,7 +144,8 @@ def evaluate(
         beliefs[-1],
         gaps.min(axis=0) if len(last) else np.full(len(experiment.features), np.inf),
         _nees(truth, history),
-        *(_gospa(experiment, history, scatterer, kind, cutoff) for kind in (False, True)),
+        _gospa(experiment, history, scatterer, False, cutoff),
+        _gospa(experiment, history, scatterer, True, cutoff),
         int((gaps.min(axis=0) < near).sum()) if len(last) else 0,
         int((gaps.min(axis=1) > near).sum()) if len(last) else 0,
         bool(len(last) and (np.linalg.norm(last - experiment.anchor, axis=1) < near).any()),

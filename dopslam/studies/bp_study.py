@@ -9,6 +9,7 @@ import numpy as np
 
 from dopslam.evaluate.metrics import rmse_over_bound
 from dopslam.slam.belief.bound import bound
+from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.experiment import Experiment, draw
 from dopslam.slam.belief.motion import ConstantVelocity
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
@@ -48,7 +49,7 @@ def motion_of(experiment: Experiment, speed_increment: float = 0.02) -> Constant
 
 def one_run(
     experiment: Experiment,
-    filter_: RaoBlackwell | Stacked,
+    filter_: RaoBlackwell | Conditional | Stacked,
     particles: int,
     seed: Sequence[int],
     *,
@@ -73,7 +74,8 @@ def one_run(
 
 def interval(squares: np.ndarray) -> tuple[float, float, float]:
     """Root mean square over runs and its bootstrap interval, from per-run mean squares (R,)."""
-    return _root_mean(squares), *bootstrap(squares, _root_mean, draws=2000)
+    low, high = bootstrap(squares, _root_mean, draws=2000)
+    return _root_mean(squares), low, high
 
 
 def _root_mean(squares: np.ndarray) -> float:

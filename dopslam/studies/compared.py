@@ -70,7 +70,7 @@ def words(found: Comparison) -> str:
 
 def figure(found: Comparison) -> Figure:
     """Figures of every entry on the left, differences to the first on the right, with their intervals."""
-    names, rows = [e.name for e in found.entries], np.arange(len(found.entries))
+    names, rows = [e.name for e in found.entries], list(range(len(found.entries)))
     quantities = [q for q in DRAWN if q in found.quantities] or found.quantities[:3]
     drawn = Figure(figsize=(9.5, (0.9 + 0.42 * len(names)) * len(quantities)))
     panels = drawn.subplots(len(quantities), 2, squeeze=False, width_ratios=(1, 1))

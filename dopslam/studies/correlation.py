@@ -19,6 +19,7 @@ from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.slam.belief.conditional.filter import Conditional
+from dopslam.slam.belief.filter import Belief
 from dopslam.slam.belief.records import Form
 from dopslam.slam.filter import run as run_filter
 from dopslam.studies.bp_cases import CASES
@@ -65,6 +66,7 @@ def traced(
         detections = files.blurred(own, files.read_detections(path), seed)
         bounds = {d: stages.bound(own, track, landmarks, paths, detections, d) for d in (True, False)}
         order, chosen = largest_order("bp", landmarks), build.chosen_filter(own, "bp")
+        assert isinstance(chosen, Belief)
         for name in VARIANTS:
             independent = name == "independent"
             assumed = replace(

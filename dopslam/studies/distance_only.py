@@ -75,7 +75,7 @@ def study(
         raise FilterError(f"study: runs is {runs}; it must be at least 1")
     parameters, scenario = parameters or RangeParameters(), scenario or office()
     tasks = (delayed(one_run)(scenario, parameters, particles, (seed, r)) for r in range(runs))
-    return list(Parallel(n_jobs=jobs)(tasks))
+    return [result for result in Parallel(n_jobs=jobs)(tasks) if result is not None]
 
 
 def summary(

@@ -125,6 +125,7 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
     """Simulate and filter one run."""
     world = study.situation
     states, scans = simulate(world, seed, run)
+    assert scans.label is not None  # it was drawn
     mask = detection_mask(scans.label, scans.offsets, len(world.kind))
     bound = situation_bound(world, states, detected=mask, doppler=uses_doppler(study.chosen)).squared()
     started = time.thread_time()
@@ -184,7 +185,7 @@ def run_study(
     if jobs == 1:
         return counted(run_once(study, seed, r) for r in range(runs))
     # Fixed batches of some tenths of a second: joblib's own grow until the last one keeps a single worker busy.
-    parallel = Parallel(n_jobs=jobs, batch_size=_BATCH, return_as="generator")
+    parallel = Parallel(n_jobs=jobs, batch_size=_BATCH, return_as="generator")  # pyright: ignore[reportArgumentType]  # stub
     return counted(parallel(delayed(_warm_run)(study, seed, r) for r in range(runs)))
 
 
@@ -249,7 +250,7 @@ def summarize(results: list[RunResult], study: Study) -> dict[str, Any]:
         "nees_mean": float(per_run_nees.mean()),
         "nees_interval": bootstrap(per_run_nees),
         "nees_expected": 4 if "speed" not in names else 6,
-        "nis_per_row": _finite(np.mean([r.nis for r in good])),
+        "nis_per_row": _finite(float(np.mean([r.nis for r in good]))),
         "gospa_va_m": average_and_last(gospa_va[..., 0]),
         "gospa_sp_m": average_and_last(gospa_sp[..., 0]),
         "correct_da_weight": float(weight.mean()) if np.isfinite(weight).all() else None,

@@ -17,7 +17,6 @@ from dopslam.errors import DopslamError
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate import mapping
 from dopslam.evaluate.run import evaluate_run, summarize
-from dopslam.filters import FILTERS
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import largest_order, match_series
@@ -96,7 +95,7 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     track, landmarks, paths, _ = stages.read_truth(data)
     detections = stages.read_detections(data)
     assert paths is not None
-    doppler = FILTERS[density].capabilities.doppler
+    doppler = pipeline.uses_doppler(scenario, density)
     history = pipeline.slam(scenario, detections, density, doppler, seed)
     smoothed = pipeline.whole_run(scenario, density)
     bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)

@@ -89,6 +89,7 @@ def study(
     matches, sight = [], []
     for path in paths:
         track, _, traced, _ = stages.read_truth(path)
+        assert traced is not None  # the datasets that this study prepares hold paths
         matches += match_series(scenario, track, traced, stages.read_detections(path))
         sight.append([bool(np.any(traced.landmark[traced.rows(k)] == 0)) for k in range(traced.steps)])
     result: dict = {

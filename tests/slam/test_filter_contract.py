@@ -27,7 +27,7 @@ OWN = """
 
     @dataclass(frozen=True)
     class DeadReckoning:
-        capabilities: ClassVar[ds.Capabilities] = ds.Capabilities(doppler=False)
+        capabilities = ds.Capabilities(doppler=False)
         growth: float = 1.0
 
         def init(self, problem, rng):

@@ -51,7 +51,7 @@ class Batch(Rerun):
     rounds : most rounds of association
     """
 
-    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6), whole_run=True)
+    capabilities = Capabilities(states=(4, 6), whole_run=True)
     largest_order: ClassVar[int | None] = 1
 
     doppler: bool = True
@@ -72,7 +72,7 @@ class Batch(Rerun):
         """
         motion = problem.motion
         data = rows_of(scans, problem.stations.position, problem.height, motion.speed, doppler=self.doppler)
-        information = np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension))
+        information = np.asarray(np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension)), float)
         if problem.snapshot:
             information[:POSE], information[:, :POSE] = 0.0, 0.0
         choices, result, failure = Choices(self.rounds), None, None

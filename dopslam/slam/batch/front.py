@@ -92,8 +92,9 @@ def plan(poses: int, dimension: int, first: Index, last: Index) -> Plan:
         counts.append(len(rest))
         column += rest
     edges = np.concatenate([[0], np.cumsum(counts)])
-    integers = [np.array(x, dtype=np.int64) for x in (unknown, place, edges, column, enter, first)]
-    return Plan(*integers, base + POINT * used)
+    lists = (unknown, place, edges, column, enter, first)
+    a, b, c, d, e, f = (np.array(numbers, dtype=np.int64) for numbers in lists)
+    return Plan(a, b, c, d, e, f, base + POINT * used)
 
 
 @compiled
@@ -330,4 +331,5 @@ def solve(order: Plan, normal: Normal, damping: float = 0.0, spread: bool = Fals
         order.unknown, order.place, order.edges, order.column, order.size, upper, rows, right, poses, n,
         len(normal.by_point), spread,
     )  # fmt: skip
-    return Solution(*found, logs)
+    pose, point, pose_covariance, point_covariance = found
+    return Solution(pose, point, pose_covariance, point_covariance, logs)

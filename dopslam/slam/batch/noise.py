@@ -37,7 +37,7 @@ class Scales:
         if self.scale.shape != self.share.shape or not ((self.scale > 0).all() and (self.share > 0).all()):
             raise FilterError(f"Scales: scale {self.scale} and share {self.share} must be positive and of one length")
 
-    def weigh(self, square: Array, rows: Array) -> tuple[Array, Array]:
+    def weigh(self, square: Array, rows: NDArray) -> tuple[Array, Array]:
         """log density (N,) over N(0; 0, R), and weight (N,), of squared lengths (N,) over `rows` (N,) rows."""
         terms = self._terms(square, rows)
         top = terms.max(axis=-1, keepdims=True)

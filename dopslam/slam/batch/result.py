@@ -91,7 +91,7 @@ def diagnostics_of(data: Rows, result: Smoothed) -> Diagnostics:
     named = np.where(owner < 0, NO_TRACK, np.where(owner < len(data.stations), BS_TRACK, first[owner]))
     parts = [slice(int(a), int(b)) for a, b in zip(data.offsets[:-1], data.offsets[1:], strict=True)]
     return Diagnostics(
-        nis=np.bincount(step, estimate.square[rows], data.steps),
+        nis=np.bincount(step, estimate.square[rows], data.steps).astype(float),
         nis_rows=np.round(np.bincount(step, used * free, data.steps)).astype(np.int64),
         weights=tuple(np.ones(1) for _ in parts),
         associations=tuple(named[s][None] for s in parts),

@@ -54,10 +54,12 @@ class Map:
 
     def joined(self, other: Map) -> Map:
         """These landmarks and others after them."""
-        mine, theirs = (
-            (m.kind, m.position, m.station, m.covariance) for m in (self, other)
-        )  # fmt: skip
-        return Map(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
+        return Map(
+            np.concatenate([self.kind, other.kind]),
+            np.concatenate([self.position, other.position]),
+            np.concatenate([self.station, other.station]),
+            np.concatenate([self.covariance, other.covariance]),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ def _differences(chain: Chain, state: Array) -> tuple[Array, Array]:
 
 def _weight(chain: Chain) -> Array:
     n = chain.motion.dimension
-    return np.linalg.inv(chain.motion.process_noise + KNOWN * np.eye(n))
+    return np.asarray(np.linalg.inv(chain.motion.process_noise + KNOWN * np.eye(n)), float)
 
 
 def _residuals(data: Rows, sight: Sight, state: Array, found: Map, owner: Index):

@@ -8,6 +8,7 @@ paper B does.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -179,7 +180,7 @@ def gaussian_start(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     return mean, slope @ root @ slope.T
 
 
-def paced(filter_: RaoBlackwell | Conditional, setup: Setup, pace: float):
+def paced(filter_: RaoBlackwell | Conditional, setup: Setup, pace: float) -> Any:
     """The filter whose next step is over ``pace`` periods of the motion."""
     return filter_ if pace == 1.0 else replace(filter_, motion=setup.motion.paced(float(pace)))
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dopslam.models.measurement import wrap
 
@@ -19,7 +20,7 @@ POSITION, VELOCITY, BIAS, HEADING = slice(0, 3), slice(3, 6), 6, 7
 SIZE = 8
 
 
-def particles(position, velocity, bias=0.0, heading=None) -> np.ndarray:
+def particles(position, velocity, bias: ArrayLike = 0.0, heading: ArrayLike | None = None) -> np.ndarray:
     """(N, 8) particles; the heading is the direction of the velocity unless given."""
     position, velocity = np.atleast_2d(position), np.atleast_2d(velocity)
     result = np.zeros((max(len(position), len(velocity)), SIZE))

@@ -104,6 +104,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
     moved = np.empty((m, n))
     chi2 = np.inf
     log_volume = 0.0
+    reach = 0.0
     for iteration in range(MAX_STEPS):
         valid = linearize(state, x, kind, site, predicted, by_state, by_landmark)
         subtract(z, predicted, by_landmark, by_state, nu)

@@ -249,7 +249,7 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
     intensity[: len(parameters.intensity)] = parameters.intensity
     if not parameters.joint:
         intensity[2:] = 0.0
-    limited = isinstance(detection, ConstantDetection) and detection.sp_range is not None
+    limit = detection.sp_range if isinstance(detection, ConstantDetection) else None
     return Model(
         site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(motion.speed)),
         interval=float(motion.interval),
@@ -278,7 +278,7 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
         outlier=float(parameters.outlier) if parameters.joint else 0.0,
         inform=bool(parameters.inform and parameters.joint),
         lazy=bool(parameters.lazy and parameters.joint),
-        sp_range=float(detection.sp_range) if limited else np.inf,
+        sp_range=np.inf if limit is None else float(limit),
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),
         memory=float(parameters.memory),

@@ -43,7 +43,7 @@ class Joint:
     thinning : reduce the undetected intensity inside the field of view after every scan
     """
 
-    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6), intervals=True)
+    capabilities = Capabilities(states=(4, 6), intervals=True)
     largest_order: ClassVar[int | None] = 1  # reflections of a virtual anchor that the map may hold; None: any
     correlated: ClassVar[bool] = True
 

@@ -146,7 +146,7 @@ def local_hypotheses(prior: Density, seen: Seen, setting: Setting) -> Local:
     probability, log_detected = np.zeros(len(prior.kind)), np.full((count, len(prior.kind)), -np.inf)
     for b, kind in enumerate(prior.kind):
         if b == 0:
-            probability[b] = setting.parameters.detection.probability
+            probability[b] = setting.detection.probability
         elif there(prior.mean[:n], prior.mean[prior.rows(b)], kind, setting):
             apart = np.zeros((3, len(prior.mean)))  # the vector from the receiver to the landmark
             apart[:, prior.rows(b)], apart[:2, :2] = np.eye(3), -np.eye(2)
@@ -226,7 +226,9 @@ def _solved(cost: Array) -> tuple[float, NDArray[np.int64], Array]:
     return float(cost[rows, columns].sum()), columns, cost
 
 
-def newborns(weight: Array, chosen: Array, births: Births, parameters: FilterParameters) -> list[tuple[int, int]]:
+def newborns(
+    weight: Array, chosen: NDArray[np.int64], births: Births, parameters: FilterParameters
+) -> list[tuple[int, int]]:
     """Measurement and type of every birth that is not negligible over all associations, the likeliest first."""
     new = ((chosen < 0) * weight[:, None]).sum(axis=0)
     share = new[:, None] * np.exp(births.log_term - births.log_new[:, None])
@@ -250,7 +252,7 @@ def joint_update(prior: Density, seen: Seen, association: Array, local: Local, s
         h = np.vstack([rows for _, rows in parts])
         nu = np.concatenate([residual(seen.z[p], part[0]) for (p, _, _), part in zip(pairs, parts, strict=True)])
         r = block_diag(*(seen.noise[p] for p, _, _ in pairs))
-        gain = np.linalg.solve(h @ prior.covariance @ h.T + r, h @ prior.covariance).T
+        gain = np.asarray(np.linalg.solve(h @ prior.covariance @ h.T + r, h @ prior.covariance)).T
         mean = prior.mean + gain @ (nu - h @ (prior.mean - mean))
         covariance = prior.covariance - gain @ h @ prior.covariance
     for p, t, used in pairs:
@@ -309,8 +311,8 @@ def give_birth(
         covariance[own, before] = pull @ covariance[:n, before]
         covariance[before, own] = covariance[own, before].T
     kind, track = [VA + t for _, t in born], [first + p for p, _ in born]
-    more = ((density.kind, kind), (density.weight, weight), (density.track, track))
-    return Density(mean, covariance, *(np.append(a, np.array(b, a.dtype)) for a, b in more))
+    kinds, tracks = (np.append(a, np.array(b, np.int64)) for a, b in ((density.kind, kind), (density.track, track)))
+    return Density(mean, covariance, kinds, np.append(density.weight, weight), tracks)
 
 
 def project(weight: Array, components: list[Density], setting: Setting) -> Density:
@@ -319,7 +321,7 @@ def project(weight: Array, components: list[Density], setting: Setting) -> Densi
     total = weight @ weights
     share = np.where(total > 0, weight[:, None] * weights / np.where(total > 0, total, 1.0), 1.0 / len(weight))
     share = np.hstack([np.repeat(share[:, :1], one.n, axis=1), np.repeat(share[:, 1:], 3, axis=1)])
-    mean = sum(s * c.mean for s, c in zip(share, components, strict=True))
+    mean = sum((s * c.mean for s, c in zip(share, components, strict=True)), np.zeros(len(one.mean)))
     covariance = sum(
         np.outer(np.sqrt(s), np.sqrt(s)) * (c.covariance + np.outer(c.mean - mean, c.mean - mean))
         for s, c in zip(share, components, strict=True)
@@ -338,8 +340,8 @@ def prune(density: Density, parameters: FilterParameters) -> Density:
     kept = (existence >= parameters.prune) & (density.weight >= RARE * parameters.prune)
     kept[0] = True
     rows = np.append(np.full(density.n, True), np.repeat(kept[1:], 3))
-    blocks = (column[kept] for column in (density.kind, density.weight, density.track))
-    return Density(density.mean[rows], density.covariance[np.ix_(rows, rows)], *blocks)
+    kind, weight, track = density.kind[kept], density.weight[kept], density.track[kept]
+    return Density(density.mean[rows], density.covariance[np.ix_(rows, rows)], kind, weight, track)
 
 
 def run(scans: Scans, prior: tuple[Array, Array], setting: Setting) -> list[tuple[Density, Array]]:
@@ -355,7 +357,8 @@ def run(scans: Scans, prior: tuple[Array, Array], setting: Setting) -> list[tupl
         raise FilterError(
             "the reference filter has no cubature, no reweighting, no thinning and a constant p_D only; use the compiled one"
         )
-    density = Density(*(np.array(part, float) for part in prior), np.array([BS]), np.ones(1), np.array([BS_TRACK]))
+    mean, covariance = (np.array(part, float) for part in prior)
+    density = Density(mean, covariance, np.array([BS]), np.ones(1), np.array([BS_TRACK]))
     result = []
     for k in range(scans.steps):
         density, weight = step(density, scans.take([k]), setting, scans.rows(k).start)

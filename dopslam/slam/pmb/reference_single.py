@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from dopslam.models.detection import soft_range
+from dopslam.models.detection import ConstantDetection, soft_range
 from dopslam.models.measurement import SP, VA, incidence, jacobians, measure, positions, residual
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.slam.pmb.birth import CONVERGED, MAX_STEPS, REDUNDANT_LIMIT
@@ -27,6 +27,12 @@ class Setting:
     bs: Array
     height: float = 0.0
 
+    @property
+    def detection(self) -> ConstantDetection:
+        """p_D, which is constant here."""
+        assert isinstance(self.parameters.detection, ConstantDetection)  # anything else is refused
+        return self.parameters.detection
+
 
 def linearize(state: Array, x: Array, kind: int, setting: Setting, m: int) -> tuple[Array, Array, Array]:
     """h(s, x), A = ∂h/∂s and B = ∂h/∂x, m rows of (3)-(12) and (18)-(25)."""
@@ -42,7 +48,7 @@ def there(state: Array, x: Array, kind: int, setting: Setting) -> bool:
 
 def detection_probability(x: Array, spread: Array, state: Array, kind: int, setting: Setting) -> float:
     """p_D of a landmark; a scatter point's times the share of its density, seen from the receiver, within the range."""
-    told, arrival = setting.parameters.detection, x - positions(state, setting.height)
+    told, arrival = setting.detection, x - positions(state, setting.height)
     distance = np.linalg.norm(arrival)
     limit = told.sp_range if kind == SP else None
     return told.probability * float(soft_range(distance, limit, np.sqrt(max(arrival @ spread @ arrival, 0)) / distance))
@@ -95,4 +101,4 @@ def fit(
     own = np.linalg.inv(information)
     if not valid or np.trace(own) > reach**2:  # nowhere in particular: anywhere along a ray
         return None
-    return Fit(x, own @ solve_triangular(root, white, lower=True, trans="T").T, own, float(chi2), float(log_volume))
+    return Fit(x, own @ solve_triangular(root, white, lower=True, trans=1).T, own, float(chi2), float(log_volume))

@@ -263,6 +263,7 @@ class Conditional:
 
     def _resample(self, rng, posterior: Belief, prior: Belief, centers, noise, exact, rows):
         """Exact weights of particles from the linearized proposal; the agent becomes theirs, the map follows it."""
+        assert posterior.log_weight is not None
         active, chart = posterior.active, posterior.map
         (form, first, weight), before, by_feature, scale, log_pair, log_missed = exact
         before_prior = prior.mean[active], prior.covariance
@@ -364,6 +365,7 @@ class Conditional:
     def _first(self, rng, belief: Belief, scan: Scan):
         """The first step from particles that are no Gaussian: only the line of sight can inform them, with annealing."""
         plain = RaoBlackwell(self.parameters, self.motion)
+        assert belief.cloud is not None
         agent, log_weight = belief.cloud
         sight = belief.map
         pose = agent[int(np.argmax(log_weight))]

@@ -141,7 +141,7 @@ class RangeOnly:
         known = np.array([[1.0, 0.0, 1.0]]) * _ANCHOR_DEVIATION**2
         maps = tuple(
             RangeMap(
-                np.ones(1), np.array([0, 1]), np.ones((1, size), np.float32), np.repeat(np.float32(a)[None, :, None], size, axis=2), known,
+                np.ones(1), np.array([0, 1]), np.ones((1, size), np.float32), np.repeat(np.asarray(a, np.float32)[None, :, None], size, axis=2), known,
                 self.parameters.undetected / self.parameters.area, np.zeros((0, 3)),
             )
             for a in np.asarray(anchors)

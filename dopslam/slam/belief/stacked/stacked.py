@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dopslam.models.amplitude import Radio
+from dopslam.models.amplitude import AmplitudeModel, Radio
 from dopslam.slam.association.loopy import loopy_association
 from dopslam.slam.belief.belief import effective_size, normalized, systematic
 from dopslam.slam.belief.births import births, order_for
@@ -80,6 +80,7 @@ class Stacked:
     def step(self, rng: np.random.Generator, state: StackedState, scan: Scan) -> tuple[StackedState, Info]:
         """Predict, evaluate (pass 1), associate, update (pass 2), resample, add births, prune, estimate."""
         parameters, types = self.parameters, self.parameters.types
+        assert isinstance(parameters.amplitude, AmplitudeModel)
         constants = Constants.of(self.radio, parameters.amplitude, parameters.anchor)
         agent = self.motion.predict(rng, state.agent)
         size = len(agent)
@@ -97,16 +98,17 @@ class Stacked:
         groups = [(Form.LOS, _sight_rows(parameters, sight_u)), *zip(types, particles, strict=True)]
 
         log_false_alarm = parameters.log_false_alarm(scan)
-        means = [self.backend.evidence(form, *rows, stacked, scan, constants) for form, rows in groups]
+        means = [self.backend.evidence(form, x, y, u, stacked, scan, constants) for form, (x, y, u) in groups]
         log_c = self._birth_evidence(rng, agent, scan)
         association = _associate(weight, sight, means, groups, constants, log_false_alarm, log_c)
 
         nu = np.exp(np.minimum(association.log_nu, 80.0))
         nu[association.marginal[:, 1:] < 1e-7] = 0.0
-        sight_lam = self.backend.messages(Form.LOS, *groups[0][1], stacked, scan, nu[:1], constants)
+        x, y, u = groups[0][1]
+        sight_lam = self.backend.messages(Form.LOS, x, y, u, stacked, scan, nu[:1], constants)
         lam = np.empty((len(types), len(weight), size), np.float32)
-        for t, (form, rows) in enumerate(groups[1:]):
-            lam[t] = self.backend.messages(form, *rows, stacked, scan, nu[1:], constants)
+        for t, (form, (x, y, u)) in enumerate(groups[1:]):
+            lam[t] = self.backend.messages(form, x, y, u, stacked, scan, nu[1:], constants)
         log_weight = np.log(np.maximum(sight * sight_lam[0].astype(float) + 1 - sight, 1e-300))
         exists = weight.sum(axis=1)
         log_weight += log_gammas(lam, weight, np.maximum(1 - exists, 0.0))
