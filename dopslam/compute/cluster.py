@@ -30,7 +30,7 @@ def workers(address: str | None) -> Iterator[int | None]:
         yield None
         return
     try:
-        from distributed import Client
+        from distributed import Client  # pyright: ignore[reportMissingImports]  # an extra
     except ImportError as error:
         raise DopslamError("--cluster needs the extra: pip install 'dopslam[cluster]'") from error
     from joblib import parallel_config
