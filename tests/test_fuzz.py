@@ -260,7 +260,7 @@ def table_attack(rng: np.random.Generator, have: Material, here: Path) -> Attack
         data = bytearray(table.read_bytes())
         data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
         table.write_bytes(bytes(data))
-    bring = ["import", table, "--map", mapping, "--scenario", "ring_road", "--out", path]
+    bring = ["import", table, "--map", mapping, "--scene", "ring_road", "--out", path]
     bring += ["--track", track] if rng.integers(2) else []
     return Attack([bring, ["slam", path], ["check", path]], (spoiled.name, track.name, mapping.name, table.name, path.name), (path,))  # fmt: skip
 
@@ -368,7 +368,7 @@ def tracks_attack(rng: np.random.Generator, have: Material, here: Path) -> Attac
     if rng.integers(2):
         track = here / "tr.csv"
         track.write_text(mutated_text(have.track.read_text(), rng), encoding="utf-8")
-        command = ["import", have.table, "--map", have.mapping, "--scenario", "ring_road", "--out", here / "d.h5", "--track", track]  # fmt: skip
+        command = ["import", have.table, "--map", have.mapping, "--scene", "ring_road", "--out", here / "d.h5", "--track", track]  # fmt: skip
         return Attack([command], (track.name, have.table.name), (here / "d.h5",))
     file = here / "s.toml"
     tree: dict[str, Any] = {

@@ -15,7 +15,7 @@ from typing import Any
 
 from cyclopts import App, CycloptsError
 
-from dopslam.cli.failure import sentence
+from dopslam.cli.failure import renamed, sentence
 
 VERBS = {
     "new": "Write a scene folder that runs, from a kind, a floor plan, a map, a model or a builtin scene.",
@@ -88,7 +88,7 @@ def main(tokens: list[str] | None = None) -> None:
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
-        _fail(str(error))
+        _fail(renamed(sys.argv[1:] if tokens is None else tokens) or str(error))
     except KeyboardInterrupt as error:
         _fail("; ".join(["interrupted", *getattr(error, "__notes__", ())]), 130)
     except BrokenPipeError:  # the reader of a pipe has seen enough

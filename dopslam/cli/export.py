@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 
 def export(
-    source: Path,
+    dataset: Path,
     *,
     to: Annotated[
         Literal["mat", "deepmimo", "tum", "sigmf", "csv", "geojson", "gltf", "ply", "mcap", "drives"],
@@ -23,7 +23,7 @@ def export(
 
     Parameters
     ----------
-    source
+    dataset
         Dataset file, or folder made by 'dopslam dataset'.
     to
         mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv:
@@ -42,5 +42,5 @@ def export(
     from dopslam.formats.export import export as write
     from dopslam.formats.geojson import Origin
 
-    files = write(source, out, to, drive, None if origin is None else Origin.parse(origin))
+    files = write(dataset, out, to, drive, None if origin is None else Origin.parse(origin))
     Console(highlight=False, soft_wrap=True, markup=False).print(f"{out}: {len(files)} files, {files[0].name} …")

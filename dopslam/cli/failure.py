@@ -2,10 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 def sentence(error: Exception) -> str:
     """What a person is told of an error: what, where, the remedy, and what was kept."""
     return "; ".join([_what(error), *getattr(error, "__notes__", ())])
+
+
+EARLIER = {
+    ("run", "--runs"): "--out",
+    ("import", "--scenario"): "--scene",
+    ("new", "--name"): "--out",
+    ("export", "--source"): "--dataset",
+}
+"""Options by command and earlier spelling, and how they are called now."""
+
+
+def renamed(tokens: Sequence[str]) -> str | None:
+    """What to say of the first option in its earlier spelling; None if there is none."""
+    for token in tokens[1:]:
+        option = token.partition("=")[0]
+        if (tokens[0], option) in EARLIER:
+            return f"{tokens[0]} {option} is now called {EARLIER[tokens[0], option]}"
+    return None
 
 
 def _what(error: Exception) -> str:

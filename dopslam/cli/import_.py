@@ -17,7 +17,7 @@ def import_(
     table: Path,
     *,
     mapping: Annotated[Path, Parameter(name="--map")],
-    scenario: str,
+    scene: str,
     out: Path,
     track: Path | None = None,
     settings: Settings = None,
@@ -30,7 +30,7 @@ def import_(
         CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
     mapping
         TOML that says what the columns mean; see the documentation of dopslam.formats.table.
-    scenario
+    scene
         Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
     out
         Dataset file to make.
@@ -63,7 +63,7 @@ def import_(
     period = None if "step" in rule.columns else period_of(columns[rule.columns["time"]])
 
     def world_of(shown: Shown, *more: str) -> Scenario:
-        return load(scenario, [f"source.kind={kind}", *flags, *more], replace(shown, period=period))
+        return load(scene, [f"source.kind={kind}", *flags, *more], replace(shown, period=period))
 
     flags = overrides(settings)
     flags = [*flags, *_told_by(period, world_of(Shown()), flags)]

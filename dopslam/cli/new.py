@@ -11,7 +11,7 @@ from dopslam.cli.common import Seed, positive
 
 
 def new(
-    name: Path,
+    out: Path,
     *,
     kind: str | None = None,
     source: Annotated[Path | None, Parameter(name="--from")] = None,
@@ -28,7 +28,7 @@ def new(
 
     Parameters
     ----------
-    name
+    out
         Folder to make.
     kind
         street, plaza, room, corridor, hall, or builtin:NAME for a scene that ships with Sionna RT.
@@ -61,10 +61,10 @@ def new(
     if scale is not None:
         positive(str(scale), "--scale", "give pixels to the meter, above 0")
     new_scene(
-        name, kind, source, seed, scale, positive(carrier, "--carrier", "give Hz, for instance 28e9"),
+        out, kind, source, seed, scale, positive(carrier, "--carrier", "give Hz, for instance 28e9"),
         None if bandwidth is None else positive(bandwidth, "--bandwidth", "give Hz, for instance 400e6"), Usual(**given),
     )  # fmt: skip
-    Console(markup=False, highlight=False, soft_wrap=True).print(f"{name}: made; now: dopslam run {name}")
+    Console(markup=False, highlight=False, soft_wrap=True).print(f"{out}: made; now: dopslam run {out}")
 
 
 def _asked() -> tuple[str | None, Path | None]:

@@ -31,7 +31,7 @@ def run(
     filters: Filters = None,
     doppler_std: str | None = None,
     jobs: int | None = None,
-    runs: Path = Path("runs"),
+    out: Path = Path("runs"),
     keep_signal: bool = False,
     settings: Settings = None,
 ) -> None:
@@ -55,7 +55,7 @@ def run(
         none: only filters without Doppler. A number sets the standard deviation [m/s] where the source is the model.
     jobs
         Worker processes for the estimation; by default one for each core. Results do not depend on it.
-    runs
+    out
         Folder that gets the results folder <scene>-<time> and the link "latest".
     keep_signal
         Store the received signal in the dataset too.
@@ -104,7 +104,7 @@ def run(
                 raise
             failed[name] = sentence(error)
 
-    with folder.results_folder(runs, scenario.name) as (working, final):
+    with folder.results_folder(out, scenario.name) as (working, final):
         data = working / "dataset.h5"
         (working / "scenario.toml").write_text(scenario.to_toml(), encoding="utf-8")
         with progress_display() as progress:

@@ -7,13 +7,13 @@ from pathlib import Path
 from dopslam.cli.common import worker_count
 
 
-def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None = None) -> None:
+def sweep(plan: Path, *, out: Path, jobs: int | None = None, cluster: str | None = None) -> None:
     """Repeat a Monte Carlo study for every combination of values of scenario keys: one table, one figure with error
     bars.
 
     Parameters
     ----------
-    file
+    plan
         TOML with scenario, runs, seed and the table [vary]; see the documentation of dopslam.studies.sweep.
     out
         Folder to make: table.csv, sweep.json, sweep.png.
@@ -31,7 +31,7 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
     from dopslam.report.folder import write_json, write_text
     from dopslam.studies import sweep as library
 
-    plan = library.read_sweep(file)
+    study = library.read_sweep(plan)
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another folder with --out")
     try:
@@ -44,18 +44,18 @@ def sweep(file: Path, *, out: Path, jobs: int | None = None, cluster: str | None
         lines = (",".join(f'"{c}"' if "," in c else c for c in row) + "\n" for row in [header, *body])
         write_text(out / "table.csv", "".join(lines))
         results = [{"point": row.point, "figures": row.figures, "diverged": row.diverged} for row in rows]
-        own = {"runs": plan.runs, "seed": plan.seed, "filter": plan.filter}
+        own = {"runs": study.runs, "seed": study.seed, "filter": study.filter}
         write_json(out / "sweep.json", own | {"results": results})
 
     rows: list = []
     try:
         with workers(cluster) as threads, timed_bars() as progress:
-            for row in library.rows_of(plan, out, threads or worker_count(jobs), progress):
+            for row in library.rows_of(study, out, threads or worker_count(jobs), progress):
                 rows.append(row)
     except BaseException as error:
         if rows:
             write(rows)
-            error.add_note(f"the {len(rows)} of {len(plan.points)} points that were finished are in {out}")
+            error.add_note(f"the {len(rows)} of {len(study.points)} points that were finished are in {out}")
         raise
     write(rows)
     library.figure(rows).savefig(out / "sweep.png", dpi=150)

@@ -8,12 +8,12 @@ from typing import Annotated
 from cyclopts import Parameter
 
 
-def view(file: Path = Path("runs/latest"), *, open_: Annotated[bool, Parameter(name="--open")] = True) -> None:
+def view(results: Path = Path("runs/latest"), *, open_: Annotated[bool, Parameter(name="--open")] = True) -> None:
     """Open report.html of a results folder, made anew from its dataset where it is missing.
 
     Parameters
     ----------
-    file
+    results
         Results folder, report.html, or a dataset file that holds a filter's history and its bound.
     open_
         Show it in the browser; --no-open only makes it and prints its path.
@@ -23,12 +23,12 @@ def view(file: Path = Path("runs/latest"), *, open_: Annotated[bool, Parameter(n
     from dopslam.errors import DatasetError
     from dopslam.pipeline import file as stages
 
-    page = file / "report.html" if file.is_dir() else file
+    page = results / "report.html" if results.is_dir() else results
     if page.suffix != ".html" or not page.exists():
-        data = file / "dataset.h5" if file.is_dir() else file
+        data = results / "dataset.h5" if results.is_dir() else results
         if data.suffix == ".html" or not data.exists():
             raise DatasetError(
-                f"{file}: neither a results folder with report.html or dataset.h5 nor a dataset; 'dopslam run' makes one"
+                f"{results}: neither a results folder with report.html or dataset.h5 nor a dataset; 'dopslam run' makes one"
             )
         page = data.with_name("report.html")
         stages.report(data, data.parent, *stages.evaluate(data))

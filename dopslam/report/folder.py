@@ -53,7 +53,7 @@ def results_folder(root: str | Path, name: str) -> Iterator[tuple[Path, Path]]:
         working.mkdir(parents=True)
     except OSError as error:
         raise DatasetError(
-            f"{root}: cannot make a results folder ({error.strerror}); name another with --runs"
+            f"{root}: cannot make a results folder ({error.strerror}); name another with --out"
         ) from error
     try:
         yield working, final

@@ -32,7 +32,7 @@ def _predicted(state: tuple[Problem, np.ndarray, np.ndarray]) -> tuple[Problem, 
 class DeadReckoning:
     """The motion model from the start on; no detection is looked at."""
 
-    capabilities: ClassVar[Capabilities] = Capabilities(doppler=False, states=(4, 6))
+    capabilities = Capabilities(doppler=False, states=(4, 6))
 
     def init(self, problem: Problem, rng: np.random.Generator) -> Any:
         """The prior."""
@@ -49,7 +49,7 @@ class LineOfSight:
     """An extended Kalman filter on the detection nearest to the predicted line of sight, where one passes the gate."""
 
     doppler: bool = True
-    capabilities: ClassVar[Capabilities] = Capabilities(states=(4, 6))
+    capabilities = Capabilities(states=(4, 6))
 
     def init(self, problem: Problem, rng: np.random.Generator) -> Any:
         """The prior."""

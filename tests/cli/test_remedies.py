@@ -69,7 +69,7 @@ def test_imported_data_without_a_track_name_the_option_that_brings_it(tmp_path, 
     (tmp_path / "t.csv").write_text(TABLE)
     (tmp_path / "m.toml").write_text(MAP)
     (tmp_path / "track.csv").write_text("time,x,y\n" + "".join(f"{0.5 * (k + 1)},{60 - k},{5 * k}\n" for k in range(6)))
-    command = ["import", tmp_path / "t.csv", "--map", tmp_path / "m.toml", "--scenario", "ring_road", "--out"]
+    command = ["import", tmp_path / "t.csv", "--map", tmp_path / "m.toml", "--scene", "ring_road", "--out"]
     assert say(*command, tmp_path / "a.h5")[0] == 0
     for verb in ("bound", "evaluate", "estimate"):
         status, message = say(verb, tmp_path / "a.h5")
@@ -102,7 +102,7 @@ def test_what_a_mapping_or_a_table_lacks_is_named_as_it_must_be_written(tmp_path
             tmp_path / "t.csv",
             "--map",
             tmp_path / "m.toml",
-            "--scenario",
+            "--scene",
             "ring_road",
             "--out",
             tmp_path / "d.h5",

@@ -136,7 +136,7 @@ def test_the_filter_runs_on_foreign_detections_as_on_ours(tmp_path, ours, simula
     columns = foreign_columns(ours)
     del columns["fd"]
     table, rule = write(tmp_path, columns, mapping)
-    command = ["import", table, "--map", rule, "--scenario", "ring_road", "--out", tmp_path / "d.h5"]
+    command = ["import", table, "--map", rule, "--scene", "ring_road", "--out", tmp_path / "d.h5"]
     assert call(*command, "--set", "track.steps=12") == 0
     assert call(*command) == 2  # exists already
     mine = tmp_path / "mine.h5"
@@ -155,7 +155,7 @@ def test_two_dimensional_angles_without_doppler_run(tmp_path, ours, call):
     table, rule = write(tmp_path, columns, mapping)
     found = foreign.detections(table, foreign.read_mapping(rule), load("ring_road"))
     assert np.all(np.sqrt(found.covariance[:, 2, 2]) > 50)
-    assert call("import", table, "--map", rule, "--scenario", "ring_road", "--out", tmp_path / "d.h5") == 0
+    assert call("import", table, "--map", rule, "--scene", "ring_road", "--out", tmp_path / "d.h5") == 0
     history = slam(call, tmp_path / "d.h5", "--doppler-std", "none")
     assert np.all(np.isfinite(history.mean)) and history.steps == ours.steps
 
@@ -196,7 +196,7 @@ def test_delay_and_arrival_in_the_plane_place_a_receiver_without_odometry(tmp_pa
         "track.speed=0", "track.turn_rate=0", "track.period=1.0", "track.start=[60, 10, 1.57, 0]",
         "track.start_std=[1, 1, 0.05, 0.1]", f"track.process_std=[{step}, {step}, 0.01, 0.001]", "base_station.position=[0, 0, 0]",
     ]  # fmt: skip
-    command = ["import", table, "--map", rule, "--scenario", "ring_road", "--out", tmp_path / "d.h5"]
+    command = ["import", table, "--map", rule, "--scene", "ring_road", "--out", tmp_path / "d.h5"]
     assert call(*command, *(word for text in settings for word in ("--set", text))) == 0
     history = slam(call, tmp_path / "d.h5", "--doppler-std", "none")
     error = np.linalg.norm(history.mean[:, :2] - place, axis=1)

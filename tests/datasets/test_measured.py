@@ -68,7 +68,7 @@ def measured(tmp_path_factory):
 def test_from_three_lines_of_scenario_to_a_judged_track(measured, call, tmp_path):
     table, mapping, track = (measured / name for name in ("table.csv", "map.toml", "track.csv"))
     file = tmp_path / "d.h5"
-    command = ("import", table, "--map", mapping, "--scenario", measured, "--track", track, "--out", file)
+    command = ("import", table, "--map", mapping, "--scene", measured, "--track", track, "--out", file)
     assert call(*command) == 0
     assert call("slam", file) == 0
     assert call("evaluate", file, "--out", tmp_path / "report") == 0

@@ -79,7 +79,7 @@ def bring(call, folder, columns, *more, mapping=MAP):
     """Exit status of an import of a table into d.h5."""
     table, rule = write(folder / "t.csv", columns), folder / "m.toml"
     rule.write_text(mapping)
-    return call("import", table, "--map", rule, "--scenario", "ring_road", "--out", folder / "d.h5", *more)
+    return call("import", table, "--map", rule, "--scene", "ring_road", "--out", folder / "d.h5", *more)
 
 
 def errors(path):
@@ -210,7 +210,7 @@ def test_a_column_that_stands_twice_is_refused(tmp_path, drawn, call, capsys):
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0] + ",phi", *(line + ",0.0" for line in lines[1:])]))
     rule.write_text(MAP)
-    command = ("import", path, "--map", rule, "--scenario", "ring_road", "--out", tmp_path / "d.h5")
+    command = ("import", path, "--map", rule, "--scene", "ring_road", "--out", tmp_path / "d.h5")
     assert "column 'phi' stands in the header twice" in refused(call, capsys, *command)
 
 
