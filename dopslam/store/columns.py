@@ -92,6 +92,12 @@ def array_in(node: h5py.Group, name: str) -> h5py.Dataset:
     return found
 
 
+def arrays_of(node: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Names and datasets of a group."""
+    for name in node:
+        yield str(name), array_in(node, str(name))
+
+
 def read(node: h5py.Group, names: Iterable[str], scalars: dict[str, Any]) -> tuple[dict[str, np.ndarray], str]:
     """Columns of a group and the sha256 of its content, as :func:`digest` computes it.
 

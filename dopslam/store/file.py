@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 
 from dopslam.errors import DatasetError, DopslamError
-from dopslam.store.columns import array_in, chunk_shape, digest, group_in, read, stream_digest, texts
+from dopslam.store.columns import array_in, arrays_of, chunk_shape, digest, group_in, read, stream_digest, texts
 from dopslam.store.schema import (
     EARLIER,
     READ,
@@ -351,13 +351,11 @@ def signal_steps(path: str | Path) -> int:
 def describe(path: str | Path) -> list[tuple[str, str, str, str, str]]:
     """Rows (group, array, shape, type, units) of everything a dataset holds."""
     with _reading(Path(path)) as file:
-        nodes = [(group, group_in(file, group)) for group in sorted(file)]
-        arrays = [
-            (group, n, array_in(node, n)) for group, node in nodes for n in map(str, node) if not is_scale(node, n)
-        ]
         return [
             (group, name, "×".join(map(str, data.shape)), str(data.dtype), str(plain(data.attrs.get("units", ""))))
-            for group, name, data in arrays
+            for group in sorted(file)
+            for name, data in arrays_of(group_in(file, group))
+            if not is_scale(group_in(file, group), name)
         ]
 
 
@@ -392,7 +390,7 @@ def verify_group(path: str | Path, group: str) -> str:
         if group == "signal":
             found = stream_digest(array_in(node, "y"))
         else:
-            names = [name for name in map(str, node) if not is_scale(node, name)]
+            names = [name for name, _ in arrays_of(node) if not is_scale(node, name)]
             scalars = {k: plain(v) for k, v in node.attrs.items() if k not in ("record", "sha256")}
             _, found = read(node, names, scalars)
         stated = plain(node.attrs.get("sha256"))
