@@ -221,7 +221,7 @@ def _timed(function) -> float:
 
 def schedules(max_speed: float = 25.0, seed: int = 61) -> dict:
     """Ambiguity of beam schedules on an 8 x 8 transmitter, 64 beams x 8 sweeps, 8.92 us per beam."""
-    from .ambiguity import ambiguity
+    from .ambiguities import ambiguity
     from .signal.schedule import ORDERS, antenna_switching, dft_beams
 
     rng = np.random.default_rng(seed)

@@ -1,5 +1,7 @@
 """Scenario files: what is read back, and the one line that each mistake gets."""
 
+import subprocess
+import sys
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
@@ -141,3 +143,12 @@ def test_every_key_is_listed_with_its_range(call, capsys):
     assert "source.model.range_std" in capsys.readouterr().out
     assert call("keys", "trak") == 2
     assert "did you mean" in capsys.readouterr().err
+
+
+def test_reading_a_scenario_imports_neither_numpy_nor_an_estimator():
+    code = (
+        "import sys; from dopslam.config.scenario import load; load('ring_road')\n"
+        "print({'numpy', 'scipy', 'numba', 'h5py', 'estimation.estimators.nomp'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -19,7 +19,7 @@ from dopslam.pipeline import link
 from dopslam.pipeline.preflight import Finding
 from dopslam.records import SPEED_OF_LIGHT, Landmarks, Paths, Track
 from estimation import SignalModel, snr
-from estimation.ambiguity import LIMIT, ambiguity
+from estimation.ambiguities import LIMIT, ambiguity
 
 STEPS = 6  # that are looked at
 THRESHOLD = 26.0  # on ρ, near what the estimators take for a false path in a hundred snapshots

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..ambiguity import check_schedule
+from ..ambiguities import check_schedule
 from ..detections import Detections
 from ..errors import ModelError
 from ..signal.algebra import coherence, signal_of, weighted_blocks
