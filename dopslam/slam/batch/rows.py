@@ -113,7 +113,7 @@ def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppl
     """Scans as rows; without `doppler` the radial velocities stay out.
 
     A quantity whose deviation is as wide as what is searched was not measured (:mod:`dopslam.models.unmeasured`). Without
-    any elevation everything lies in the receiver's plane, the base stations too.
+    any elevation walls are taken to stand upright and objects to be as high as the receiver.
     """
     variance = np.einsum("nii->ni", scans.covariance)
     spans = SPANS.copy()
@@ -126,8 +126,6 @@ def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppl
     both = used[:, :, None] & used[:, None, :]
     flat = unmeasured.planar(variance)
     stations = np.array(np.atleast_2d(stations), float)
-    if flat:
-        stations[:, 2] = height
     return Rows(
         z=np.where(used, scans.z, 0.0),
         covariance=np.where(both, scans.covariance, np.eye(6)),
@@ -206,7 +204,9 @@ def place(data: Rows, rows: Index, state: Array, kind: Index) -> tuple[Array, ND
     arrival = directions(z[:, 1] + state[:, 2], np.where(flat, 0.0, z[:, 2]))[0]
     departure = directions(z[:, 3], np.where(flat, 0.0, z[:, 4]))[0]
     length, w = z[:, 0] - state[:, 3], bs - ue
+    drop = np.where(flat, w[:, 2], 0.0)  # of which azimuths know nothing
     w[flat, 2] = 0.0
+    length = np.where(length > 0, np.sqrt(np.maximum(length**2 - drop**2, 0.0)), length)
     direct = np.linalg.norm(w, axis=1)
     square = length**2 - direct**2
     near = 0.5 * square / np.maximum(length - np.sum(w * arrival, axis=1), 1e-9)

@@ -24,6 +24,7 @@ from dopslam.models.measurement import wrap
 Array = NDArray[np.float64]
 
 ROWS = 5  # c·τ, AOA az, AOA el, AOD az, AOD el; the radial velocity says nothing about the pose
+STEEPEST = 10.0  # length of a path over its length on the ground
 NEAR_SIGHT = 6.0  # standard deviations of u + v below which a path cannot be told from a line of sight
 
 
@@ -42,7 +43,8 @@ class Rays:
     height : float
         Of the receiver [m].
     planar : bool
-        No elevations were measured: everything lies in the horizontal plane.
+        No elevations were measured: everything lies in the horizontal plane but for the heights of base station and
+        receiver, which are known.
     doppler : bool
         Whether the radial velocities were measured.
     """
@@ -66,6 +68,14 @@ class Rays:
     def base(self) -> Array:
         """Anchors (n, 3) as the equations see them: in the plane at the receiver's height."""
         return np.column_stack([self.anchor[:, :2], np.full(len(self.z), self.height)]) if self.planar else self.anchor
+
+    def ground(self, path: Array) -> tuple[Array, Array]:
+        """Paths (C, n) as the equations see them, and their derivatives by the true length: in the plane what the drop from
+        the base station to the receiver leaves of it, as behind walls that stand upright."""
+        if not self.planar:
+            return path, np.ones_like(path)
+        level = np.sqrt(np.maximum(path**2 - (self.anchor[:, 2] - self.height) ** 2, 0.0))
+        return np.where(path > 0, level, path), np.clip(path / np.maximum(level, 1e-9), 1.0, STEEPEST)
 
     @property
     def angles(self) -> Array:
@@ -144,7 +154,7 @@ def bounce(pose: Array, rays: Rays, heading_std: float = 0.0) -> Bounce:
     axis = both / np.maximum(size, 1e-9)[..., None]
     normal = _normals(axis, rays.planar)
     position = np.column_stack([pose[:, :2], np.full(len(pose), rays.height)])
-    path = rays.z[:, 0] - pose[:, 3, None]
+    path, slope = rays.ground(rays.z[:, 0] - pose[:, 3, None])
     rest = position[:, None] - rays.base - path[..., None] * v
     arrival = -np.einsum("cni,cni->cn", rest, axis) / np.maximum(size, 1e-9)
     departure = path - arrival
@@ -154,9 +164,16 @@ def bounce(pose: Array, rays: Rays, heading_std: float = 0.0) -> Bounce:
     }
     error = np.einsum("cnmi,cni->cnm", normal, rest)
     near, far = np.maximum(arrival, 0.0)[..., None], np.maximum(departure, 0.0)[..., None]
-    jacobian = np.stack([normal[..., 0], normal[..., 1], near * along["u_az"], along["v"]], axis=-1)
+    jacobian = np.stack([normal[..., 0], normal[..., 1], near * along["u_az"], slope[..., None] * along["v"]], axis=-1)
     by_noise = np.stack(
-        [-along["v"], near * along["u_az"], near * along["u_el"], -far * along["v_az"], -far * along["v_el"]], axis=-1
+        [
+            -slope[..., None] * along["v"],
+            near * along["u_az"],
+            near * along["u_el"],
+            -far * along["v_az"],
+            -far * along["v_el"],
+        ],
+        axis=-1,
     )
     covariance = np.einsum("cnmi,nij,cnlj->cnml", by_noise, noise, by_noise)
     if heading_std > 0:
@@ -170,7 +187,7 @@ def bounce(pose: Array, rays: Rays, heading_std: float = 0.0) -> Bounce:
 def sight(pose: Array, rays: Rays) -> tuple[Array, Array]:
     """Residual (C, n, 5) of every path taken for the line of sight of its base station, and −∂/∂pose (C, n, 5, 4)."""
     position = np.column_stack([pose[:, :2], np.full(len(pose), rays.height)])
-    way = position[:, None] - rays.base  # from base station to receiver
+    way = position[:, None] - rays.anchor  # from base station to receiver
     flat = np.maximum(np.hypot(way[..., 0], way[..., 1]), 1e-9)
     length = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
     azimuth, elevation = np.arctan2(way[..., 1], way[..., 0]), np.arctan2(way[..., 2], flat)
