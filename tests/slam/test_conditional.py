@@ -338,6 +338,40 @@ def test_a_hidden_feature_is_not_given_up_at_once():
     assert existence[0.0] < 0.1
 
 
+def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
+    """A copy of a wall's virtual anchor beside it, from outliers: the wall's detections speak against it, though something
+    may hide a feature; a copy elsewhere is not touched by them."""
+    experiment = Experiment(steps=60)
+    _, scans, _ = draw(experiment, np.random.default_rng(11))
+    filter_ = small(experiment, types=(Form.VA_AOD, Form.PS))
+    rng = np.random.default_rng(5)
+    state = filter_.init(*informed_start(rng, Box(experiment.start), scans[0], filter_.parameters, 0.1, 500), 30.0)
+    for scan in scans[:30]:
+        state, _ = filter_.step(rng, state, scan)
+    chart, wall = state.map, experiment.features[0]
+    row = int(np.argmin(np.linalg.norm(chart.center - wall, axis=1)))
+    block = chart.spread[3 * row : 3 * row + 3, 3 * row : 3 * row + 3]
+    two = chart.center[row] + np.array([[0.25, 0.1, 0], [25.0, 30.0, 0]])
+    copied = chart.joined(
+        np.array([900, 901]), np.array([1, 1]), np.full(2, int(Form.VA_AOD)), np.full(2, 0.95),
+        chart.reference[[row, row]], two, np.tile(chart.gain[3 * row : 3 * row + 3], (2, 1, 1)), np.tile(block, (2, 1, 1)),
+    )  # fmt: skip
+    copied = replace(
+        copied,
+        count=copied.count + 10,
+        hidden=np.where(np.isin(copied.owner, [len(chart.label), len(chart.label) + 1]), 0.9, copied.hidden),
+    )
+    left = {}
+    for double in (0.8, 1.0):
+        changed, other = replace(filter_, double=double), replace(state, map=copied)
+        for scan in scans[30:]:
+            other, _ = changed.step(np.random.default_rng(1), other, scan)
+        left[double] = {n: float(other.map.existence[other.map.label == n].sum()) for n in (900, 901)}
+        assert np.linalg.norm(other.map.center - wall, axis=1).min() < 0.1
+    assert left[0.8][900] < 0.2 * left[1.0][900]
+    assert left[0.8][901] == pytest.approx(left[1.0][901], rel=0.2)
+
+
 def test_weights_are_flattened_only_as_far_as_particles_are_needed():
     rng = np.random.default_rng(1)
     mild, sharp = rng.normal(0, 0.5, 400), rng.normal(0, 300.0, 400)

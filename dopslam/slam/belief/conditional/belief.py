@@ -24,6 +24,7 @@ class Map:
     first : (K + 2,) int, rows of feature k are first[k]:first[k + 1]
     form : (R,) int; weight : (R,) P(exists, type)
     hidden : (R,) probability that an obstacle or the end of its surface hides the feature, given that it exists
+    count : (R,) detections so far, an average over associations
     reference : (R, 2) mean and variance of the amplitude times the root of the spreading loss
     center : (R, 3) m; gain : (3R, d), G; spread : (3R, 3R) m², C
     """
@@ -33,6 +34,7 @@ class Map:
     form: np.ndarray
     weight: np.ndarray
     hidden: np.ndarray
+    count: np.ndarray
     reference: np.ndarray
     center: np.ndarray
     gain: np.ndarray
@@ -54,7 +56,7 @@ class Map:
         kept, counts = np.unique(owner, return_counts=True)
         return Map(
             self.label[kept], np.concatenate([[0], np.cumsum(counts)]), self.form[rows], self.weight[rows], self.hidden[rows],
-            self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
+            self.count[rows], self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
         )  # fmt: skip
 
     def marginals(self, covariance: np.ndarray) -> Map:
@@ -76,6 +78,7 @@ class Map:
         return Map(
             np.concatenate([self.label, label]), np.concatenate([self.first, self.first[-1] + np.cumsum(counts)]),
             np.concatenate([self.form, form]), np.concatenate([self.weight, weight]), np.concatenate([self.hidden, np.zeros(len(form))]),
+            np.concatenate([self.count, np.ones(len(form))]),
             np.concatenate([self.reference, reference]), np.concatenate([self.center, center]),
             np.concatenate([self.gain, gain.reshape(new, -1)]), wide,
         )  # fmt: skip
@@ -201,6 +204,6 @@ def predict_map(
 def empty_map(anchor: np.ndarray, size: int, sight: np.ndarray) -> Map:
     """Only the line of sight; sight (3,) is its existence and the mean and variance of its reference."""
     return Map(
-        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), np.zeros(1), sight[None, 1:].copy(),
+        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), np.zeros(1), np.zeros(1), sight[None, 1:].copy(),
         np.array(anchor, float)[None], np.zeros((3, size)), np.zeros((3, 3)),
     )  # fmt: skip

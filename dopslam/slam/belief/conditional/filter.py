@@ -28,6 +28,8 @@ from dopslam.slam.belief.motion import Motion
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.records import Info, Parameters, Scan
 
+ESTABLISHED = 2.5  # detections from which a feature may be hidden
+
 
 @dataclass(frozen=True)
 class Conditional:
@@ -45,6 +47,7 @@ class Conditional:
     pair_gate : squared Mahalanobis distance beyond which a measurement cannot be a feature's
     gate : associations less likely than this are left out of the updates
     hide, unhide : probabilities per step that a feature is hidden by something, and that it comes back
+    double : likelihood of a miss of a feature beside a detection in its resolution cell, over that of none
     correlation : False drops it after every step, everything else equal: the control experiment of what keeping it is worth
     prune_type : types below this share of a feature's existence are dropped
     """
@@ -62,6 +65,7 @@ class Conditional:
     gate: float = 1e-7
     hide: float = 0.02
     unhide: float = 0.1
+    double: float = 0.8
     correlation: bool = True
     prune_type: float = 1e-5
 
@@ -139,18 +143,22 @@ class Conditional:
         log_amplitude, amplitudes = amplitude_messages(
             self._table, u, variance, np.ascontiguousarray(scan.amplitude, float)
         )
-        hidden = chart.hidden * (1 - self.unhide) + (1 - chart.hidden) * self.hide
-        hidden[0] = 0.0  # the line of sight has a chain of its own
+        # The line of sight has a chain of its own; what was hardly ever seen is no feature that something hides.
+        hide = np.where(chart.count >= ESTABLISHED, self.hide, 0.0)
+        hidden = chart.hidden * (1 - self.unhide) + (1 - chart.hidden) * hide
+        hidden[0] = 0.0
         seen_missed = np.log(hidden + (1 - hidden) * np.exp(log_amplitude[:, 0]))
         log_amplitude = log_amplitude + np.log1p(-hidden)[:, None]
         log_amplitude[:, 0] = seen_missed
         scale = np.ones(log_amplitude[:, 1:].shape)
         if parameters.rescale_covariance:
             scale = (scan.amplitude / amplitudes[:, 1:, 0]) ** 2
-        log_density = pair_densities(
+        log_density, cell = pair_densities(
             chart.form, mean, prior.covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows,
-            scale, self.pair_gate,
+            scale, self.pair_gate, np.square(scan.amplitude),
         )  # fmt: skip
+        # Nothing hides a feature and not what is seen within its resolution cell: of two of one path one is left.
+        log_amplitude[1:, 0] += np.log(self.double) * cell.any(axis=1)[1:]
         log_born = self._log_births(pose, by_coordinate, prior.covariance, rows)[0] - log_false[:, None]
         association = self._associate(chart, log_density, log_amplitude, log_false, log_born)
         owner = chart.owner
@@ -160,16 +168,8 @@ class Conditional:
         exists = chart.existence
         order = np.concatenate([[0], 1 + np.argsort(-exists[1:], kind="stable")])
         inputs = (
-            chart.form,
-            chart.first,
-            order,
-            chart.weight,
-            mean,
-            prior.covariance,
-            chart.center,
-            chart.gain,
-            chart.spread,
-        )
+            chart.form, chart.first, order, chart.weight, mean, prior.covariance, chart.center, chart.gain, chart.spread,
+        )  # fmt: skip
         log_missed = np.ascontiguousarray(log_amplitude[:, 0])
         start, point = mean, chart.center
         for iteration in range(self.iterations):
@@ -191,9 +191,17 @@ class Conditional:
         _, covariance, center, gain, spread, share = updated[:6]
         weight = share.sum(axis=1)
         reference = self._references(share, amplitudes, chart, whole, center, anchor)
-        hidden = np.where(weight > 0, share[:, 0] / np.maximum(weight, 1e-300), 0.0) * hidden * np.exp(-log_missed)
+        hidden = np.where(weight > 0, share[:, 0] / np.maximum(weight, 1e-300), 0.0) * hidden * np.exp(-seen_missed)
+        count = chart.count + 1 - share[:, 0] / np.maximum(weight, 1e-300)
         chart = replace(
-            chart, weight=weight, hidden=hidden, center=center, gain=gain, spread=spread, reference=reference
+            chart,
+            weight=weight,
+            hidden=hidden,
+            count=count,
+            center=center,
+            gain=gain,
+            spread=spread,
+            reference=reference,
         )
         posterior = replace(prior, mean=whole, covariance=covariance, map=chart)
         effective = float("nan")
@@ -287,19 +295,11 @@ class Conditional:
         offset = points - mean
         spread = (normal[:, None] * offset).T @ offset
         center = chart.center + (chart.gain @ (mean - posterior.mean[active])).reshape(-1, 3)
-        # Equal weights whose two moments are those of the weighted ones: resampling adds no noise of its own.
-        points = points[systematic(rng, normal, size)]
-        drawn = points - points.mean(axis=0)
-        have = drawn.T @ drawn / size
-        try:
-            left = np.linalg.cholesky(spread)
-            drawn = drawn @ np.linalg.solve(np.linalg.cholesky(have).T, left.T)
-        except np.linalg.LinAlgError:
-            pass
+        points = sampling.equal_weights(rng, points, normal, spread)
         whole = posterior.mean.copy()
         whole[active] = mean
         return replace(
-            posterior, mean=whole, covariance=0.5 * (spread + spread.T), points=mean + drawn, log_weight=np.zeros(size),
+            posterior, mean=whole, covariance=0.5 * (spread + spread.T), points=mean + points, log_weight=np.zeros(size),
             map=replace(chart, center=center),
         ), effective  # fmt: skip
 

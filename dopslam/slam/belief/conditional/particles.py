@@ -14,7 +14,7 @@ import numpy as np
 
 from dopslam.compute.compiled import compiled
 from dopslam.models.kernels import cholesky
-from dopslam.slam.belief.belief import effective_size, normalized
+from dopslam.slam.belief.belief import effective_size, normalized, systematic
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import VA
 
@@ -150,6 +150,17 @@ def tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if effective_size(normalized(middle * log_weight)) >= least else (low, middle)
     return normalized(low * log_weight)
+
+
+def equal_weights(rng: np.random.Generator, points: np.ndarray, weight: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Resampled points (N, d) about their mean, with covariance ``spread``, the weighted ones': no noise is added."""
+    drawn = points[systematic(rng, weight, len(points))]
+    drawn = drawn - drawn.mean(axis=0)
+    try:
+        left = np.linalg.cholesky(spread)
+        return drawn @ np.linalg.solve(np.linalg.cholesky(drawn.T @ drawn / len(drawn)).T, left.T)
+    except np.linalg.LinAlgError:  # fewer of them than coordinates, or one that is known exactly
+        return drawn
 
 
 def quadratic(offset: np.ndarray, covariance: np.ndarray) -> np.ndarray:

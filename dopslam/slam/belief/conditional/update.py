@@ -22,6 +22,7 @@ from dopslam.slam.belief.kernels import VA
 
 _LOG_2PI = math.log(2.0 * math.pi)
 _MOST = 8  # rows of a measurement, at most
+CELL = 1.65  # (½ c/B)² over ρ σ² of a delay with a flat band, σ = c √12/(√(8π²) B √ρ); likewise of the other rows
 NEGLIGIBLE = 1e-6  # components of a mixture below this weight in every group are left out
 
 
@@ -100,11 +101,16 @@ def _density(base, noise, scale, used, residual, factor):
 
 
 @compiled
-def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent, by_feature, anchor, scan, scale, gate):
-    """ln N(z_m; ẑ_r, S_rm) of every row and measurement, (R, M), at the point of linearization; −inf beyond the gate."""
+def pair_densities(
+    form, mean, covariance, center, gain, spread, pose, by_agent, by_feature, anchor, scan, scale, gate, snr
+):
+    """ln N(z_m; ẑ_r, S_rm) of every row and measurement, (R, M), at the point of linearization; −inf beyond the gate.
+
+    And whether the measurement, of post-integration SNR (M,), lies within a resolution cell of the row, (R, M).
+    """
     rows, count = form.shape[0], scan.distance.shape[0]
     n = scan.covariance.shape[1]
-    out = np.full((rows, count), -np.inf)
+    out, cell = np.full((rows, count), -np.inf), np.zeros((rows, count), dtype=np.bool_)
     own, total, factor = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     slope, residual = np.empty((n, mean.shape[0])), np.empty(_MOST)
     none, none3 = np.empty((1, POSE)), np.empty((1, 3))
@@ -116,7 +122,11 @@ def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent,
             observe(
                 form[r], pose, center[r, 0], center[r, 1], center[r, 2], anchor, scan, m, residual, False, none, none3
             )
-            near = True
+            near, wide = True, True
+            for i in range(used):
+                noise = scale[r, m] * scan.covariance[m, i, i]
+                wide = wide and residual[i] * residual[i] < 9.0 * total[i, i] + CELL * snr[m] * noise
+            cell[r, m] = wide
             for i in range(used):  # each row alone bounds the distance from below
                 near = near and residual[i] * residual[i] < gate * (
                     total[i, i] + scale[r, m] * scan.covariance[m, i, i]
@@ -129,7 +139,7 @@ def pair_densities(form, mean, covariance, center, gain, spread, pose, by_agent,
                 square += residual[i] * residual[i]
             if square < gate:
                 out[r, m] = value - direction if form[r] == VA else value
-    return out
+    return out, cell
 
 
 @compiled
