@@ -58,14 +58,6 @@ def test_the_lines_of_the_readme_run_as_printed(capsys):
     assert "belief" in capsys.readouterr().out
 
 
-@pytest.mark.rt
-@pytest.mark.timeout(600)
-def test_the_tour_runs():
-    done = subprocess.run([sys.executable, ROOT / "scripts" / "tour.py"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "sight" in done.stdout and "my room" in done.stdout
-
-
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 850
 
