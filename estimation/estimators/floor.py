@@ -10,12 +10,14 @@ vector in the fiber and leaves nothing behind.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
 from ..signal.directions import Float
 from ..signal.model import flat
+from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
 from .projector import Projector
 from .refine import Linearization
@@ -73,11 +75,25 @@ class Floor:
                 # What of the candidate the strong path does not explain anyway.
                 fresh = own[c] - strong * (np.vdot(strong, own[c]) / max(np.vdot(strong, strong).real, 1e-300))
                 fiber = self._fiber(int(p), mode)
-                left = np.vdot(fiber, fiber).real
-                left -= abs(np.vdot(fresh, fiber)) ** 2 / max(np.vdot(fresh, fresh).real, 1e-300)
-                level = left / ((len(fiber) - FITTED) * self.variance)
+                level = left_of(fiber, fresh) / self.variance
+                looks = self._looks if mode == 1 else None
+                if looks is not None:
+                    # What an element or a beam does wrong it does in every sweep: it is all at a path's speed.
+                    still = self._still(float(candidates.speed[c]))
+                    level = max(level, left_of(looks.sums(fiber * still), looks.sums(fresh * still)) / self.variance)
                 raised[c] = max(raised[c], 1 + alike[c, p] * (min(level, could[c, p]) - 1))
         return raised
+
+    def _still(self, speed: float):
+        """What stops the phases of a speed in the time mode, (n,)."""
+        mode = self.data.model.bands[0].modes[1]
+        assert isinstance(mode, TimeMode)
+        return np.repeat(np.exp(-2j * np.pi / mode.wavelength * mode.times * speed), mode.ports)
+
+    @cached_property
+    def _looks(self) -> Looks | None:
+        mode = self.data.model.bands[0].modes[1]
+        return Looks.of(mode) if isinstance(mode, TimeMode) else None
 
     def about(self, path: Geometry) -> float:
         """Noise that is left along the worst mode of a path (one) that others have taken the place of, 1 unless it is
@@ -141,6 +157,41 @@ class Floor:
         vectors = [m[:, 0] for m in known.blocks[0]]
         others = [v @ u.conj() for m, (v, u) in enumerate(zip(vectors, unit, strict=True)) if m != mode]
         return fiber - (known.gain * np.prod(others, axis=0)) @ vectors[mode]
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Samples of a time mode that look through the same beam and combiner: the number (n,) of the look of each, and how
+    many (L,) share one.
+    """
+
+    number: np.typing.NDArray[np.intp]
+    shared: Float
+
+    @staticmethod
+    def of(mode: TimeMode) -> Looks | None:
+        """None where there are too few looks to tell anything, or each is taken once."""
+        still = np.zeros(len(mode.times), int)
+        beam = still if mode.precoder_index is None else mode.precoder_index
+        setting = still if mode.combiner_index is None else mode.combiner_index
+        both = np.stack([np.repeat(beam, mode.ports), np.repeat(setting, mode.ports)])
+        port = np.tile(np.arange(mode.ports), len(mode.times))
+        number, shared = np.unique(np.stack([*both, port]), axis=1, return_inverse=True, return_counts=True)[1:]
+        if not FITTED < len(shared) < len(port):
+            return None
+        return Looks(number.ravel(), shared.astype(float))
+
+    def sums(self, samples):
+        """Sums (L,) of samples (n,) over looks, at the noise of a sample."""
+        size = len(self.shared)
+        real, imag = (np.bincount(self.number, part, size) for part in (samples.real, samples.imag))
+        return (real + 1j * imag) / np.sqrt(self.shared)
+
+
+def left_of(fiber, fresh) -> float:
+    """Energy per dimension that is left of a fiber (n,) without a candidate of vector ``fresh`` (n,)."""
+    along = abs(np.vdot(fresh, fiber)) ** 2 / max(np.vdot(fresh, fresh).real, 1e-300)
+    return (np.vdot(fiber, fiber).real - along) / (len(fiber) - FITTED)
 
 
 def contracted(data, unit, mode: int):

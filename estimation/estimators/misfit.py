@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from ..signal.directions import Float
 from .refine import Linearization, tangent_gram
 
-RATE = 0.005
+RATE = 0.004
 """Probability that noise alone makes a path look merged."""
 SPREAD = 4.0
 """Squared real over squared imaginary part of the centroid, where the imaginary part is seen. Its mean is infinite (the

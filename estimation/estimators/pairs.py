@@ -24,7 +24,7 @@ from ..signal.paths import Geometry
 from .cells import ring
 from .detect import expected_maxima, threshold_for
 from .floor import LARGEST, Floor
-from .lobes import RADIUS, great_circle
+from .lobes import great_circle
 from .noise import Noise
 from .projector import Projector
 from .refine import Linearization, information, metric
@@ -34,12 +34,15 @@ APART = 0.8
 """Distance of the tested points from a path along each mode, in its metric; a lobe ends near 3."""
 SUSPECT = 8.5
 """Least score that a pair is fitted for; one clean path in twenty-five has more."""
-TOLD = 0.005
+TOLD = 0.004
 """Probability that a single path counts as a pair."""
 BLUR = 2.0
 """Variance of the direction in which a pair is apart, in units of the inverse gain in log-likelihood."""
 SEPARATE = 4.0
 """Least distance of a reported pair in standard deviations: of what is only out of phase, amplitude and place are one."""
+REACH = 1.9
+"""Radius, in the metric, of the ball whose peaks in noise a second path competes with, so that single paths look like a
+pair at the nominal rate (720 of them on twelve random links)."""
 FARTHEST = 3.5
 """Paths farther apart than this in the metric are no pair of one lobe."""
 NEIGHBOR = 0.1
@@ -64,7 +67,7 @@ class Suspects:
 
 def local_level(rate: float, parameters: int) -> float:
     """Threshold on a gain in log-likelihood that a second path within a lobe of a known one finds in noise at ``rate``."""
-    ball = pi ** (parameters / 2) / gamma(parameters / 2 + 1) * RADIUS**parameters
+    ball = pi ** (parameters / 2) / gamma(parameters / 2 + 1) * REACH**parameters
     return threshold_for(rate, 2 * pi * ball, parameters)
 
 
@@ -113,7 +116,7 @@ def suspects(data: Projector, lin: Linearization, noise_variance: float) -> Susp
         scores[paths] = score(lin, near, cross, inner[paths], norm[paths], model.active)
     best = np.argmax(scores, axis=1)
     every = np.arange(count)
-    step = sum(s[every, i] for s, i in zip(steps, np.unravel_index(best, shape), strict=True))
+    step = np.sum([s[every, i] for s, i in zip(steps, np.unravel_index(best, shape), strict=True)], axis=0)
     return Suspects(scores[every, best] / noise_variance, step)
 
 

@@ -180,13 +180,14 @@ class TimeMode:
 
     def vector(self, geometry: Geometry) -> Complex:
         """The vector alone (P, N * M)."""
+        transmitter, precoders, receiver, combiners = self.transmitter, self.precoders, self.receiver, self.combiners
         timed = np.exp(2j * np.pi / self.wavelength * self.times * geometry.speed[:, None])
-        if self.transmitter is not None:
-            sent = self.transmitter.response(geometry.departure)[0].conj() @ self.precoders.T
+        if transmitter is not None and precoders is not None:
+            sent = transmitter.response(geometry.departure)[0].conj() @ precoders.T
             timed = timed * sent[:, self.precoder_index]
-        if self.receiver is None:
+        if receiver is None or combiners is None:
             return timed
-        ports = np.tensordot(self.receiver.response(geometry.arrival)[0], self.combiners, axes=(1, 2))
+        ports = np.tensordot(receiver.response(geometry.arrival)[0], combiners, axes=(1, 2))
         return (timed[:, :, None] * ports[:, self.combiner_index]).reshape(len(geometry), self.size)
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from estimation import EadfArray, Flag, Impairments, ModelError, Nomp, SignalModel, comb, digital, synthesize, ura
+from estimation.estimators.floor import Floor
 from estimation.evaluate import associate
+from estimation.random_links import SEARCHED, random_link, random_paths
 from estimation.scenarios import FRONT, Draw, at_snr, draw_paths
 
 OFF = {
@@ -51,6 +53,30 @@ def test_without_the_floor_there_would_be_ghosts(link, nomp, monkeypatch):
     paths, rng = drawn(link, 0)
     limited = replace(nomp, max_paths=12)
     assert len(limited.run(OFF["positions"].signal(link, paths, 1.0, rng, 0))) >= 8
+
+
+def ghosts_of_swept_links(seeds) -> int:
+    """With elements off by a hundredth of a wavelength, on random links that sweep beams."""
+    total = 0
+    for seed in seeds:
+        rng = np.random.default_rng(np.random.SeedSequence(2, spawn_key=(seed,)))
+        model = random_link(rng)
+        paths = random_paths(model, rng)
+        lead = at_snr(model, paths.take([0]), [1e5])
+        paths = replace(paths, gain=np.r_[lead.gain, paths.gain[1:]])
+        nomp = Nomp(model, max_speed=SEARCHED, threshold=27.0, max_paths=14)
+        found = nomp.run(OFF["positions"].signal(model, paths, 1.0, rng, seed))
+        total += max(len(found) - len(paths), 0)
+    return total
+
+
+def test_beams_that_are_off_in_every_sweep_alike_make_no_ghosts(monkeypatch):
+    """Their error is all at the path's speed, where it stands higher than over all symbols."""
+    seeds = (3, 6)
+    few = ghosts_of_swept_links(seeds)
+    monkeypatch.setattr(Floor, "_looks", None)
+    many = ghosts_of_swept_links(seeds)
+    assert few == 0 and many >= 3
 
 
 def test_the_given_model_error_keeps_away_what_it_could_explain(link, nomp):
