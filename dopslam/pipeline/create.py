@@ -13,11 +13,12 @@ from dopslam.errors import ConfigError, SceneError
 from dopslam.pipeline import preflight
 from dopslam.scenes.generators import GENERATORS, generate
 from dopslam.scenes.generators.mitsuba import write_shapes
-from dopslam.scenes.generators.place import INDOOR, OUTDOOR, Placed, place
+from dopslam.scenes.generators.place import INDOOR, OUTDOOR, Placed, level_places, place, terrain
 from dopslam.scenes.plans import read_plan
 from dopslam.scenes.plans.raise_ import INDOOR as INDOOR_EXTENT
 from dopslam.scenes.plans.raise_ import Usual
 
+HILLY = 2.0  # m, between the lowest and the highest ground
 LAYOUTS = 5  # random places tried before a scene counts as having none
 
 
@@ -88,10 +89,12 @@ def _placed(made: Path, name: str, kind, source, seed, scale, radio: dict, usual
     habit = INDOOR if indoor else OUTDOOR
     if indoor:
         habit = replace(habit, station_height=float(np.clip(high[2] - ground - 0.4, 1.0, 3.0)))
-    error = None
-    for attempt in range(LAYOUTS):
+    error, floor = None, terrain(triangles, loaded.surfaces.triangle_object)
+    hilly = not indoor and len(floor) > 2 and np.ptp(floor[..., 2]) > HILLY
+    for attempt in range(LAYOUTS * (3 if hilly else 1)):
         rng = np.random.default_rng([seed, attempt])
-        placed = place(triangles, habit, ground, raytracing.solids(loaded.surfaces), rng)
+        level, spots = level_places(floor, rng) if hilly else (ground, None)
+        placed = place(triangles, habit, level, raytracing.solids(loaded.surfaces), rng, spots)
         if placed is None:
             continue
         keys = {

@@ -14,6 +14,8 @@ import numpy as np
 RAYS = 32
 FAR = 150.0  # m, farther walls do not count
 TRIALS = 150
+FLAT = 0.95  # cosine of a slope that still is ground
+LEVEL = 0.3  # m
 STEPS, PERIOD = 50, 0.2  # of the drive; s
 
 
@@ -86,7 +88,38 @@ def hits(origin: np.ndarray, directions: np.ndarray, segments: np.ndarray) -> np
     return np.where(good, along, np.inf).min(axis=1)
 
 
-def place(triangles: np.ndarray, habit: Habit, ground: float, blocked, rng: np.random.Generator) -> Placed | None:
+def terrain(triangles: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Triangles (S, 3, 3) m that face upward of the object that covers most of the scene: its ground, where it is hilly.
+
+    Parameters
+    ----------
+    triangles : (T, 3, 3) m
+    owner : (T,) object of each
+    """
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    upward = normal[:, 2] > FLAT * np.maximum(size, 1e-12)
+    covered = np.bincount(owner, np.where(upward, normal[:, 2], 0.0))
+    return triangles[upward & (owner == int(np.argmax(covered)))]
+
+
+def level_places(ground: np.ndarray, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+    """Height [m] of one place of a hilly ground (S, 3, 3), drawn by area, and places (N, 2) m that are about as high."""
+    (ux, uy), (vx, vy) = ((ground[:, i, :2] - ground[:, 0, :2]).T for i in (1, 2))
+    middle, size = ground.mean(axis=1), np.abs(ux * vy - uy * vx)
+    height = float(middle[rng.choice(len(ground), p=size / size.sum()), 2])
+    near = np.flatnonzero(np.abs(middle[:, 2] - height) < LEVEL)
+    return height, middle[rng.choice(near, min(TRIALS, len(near)), replace=False), :2]
+
+
+def place(
+    triangles: np.ndarray,
+    habit: Habit,
+    ground: float,
+    blocked,
+    rng: np.random.Generator,
+    spots: np.ndarray | None = None,
+) -> Placed | None:
     """The best of many random places; None if none is any good.
 
     Parameters
@@ -94,13 +127,14 @@ def place(triangles: np.ndarray, habit: Habit, ground: float, blocked, rng: np.r
     triangles : (T, 3, 3) m of the scene
     ground : m, height of the floor
     blocked : places (N, 3) m → (N,) bool, inside of something solid
+    spots : (N, 2) m, places that are tried; None: anywhere
     """
     height = ground + habit.receiver_height
     segments = np.concatenate([sections(triangles, ground + 0.35), sections(triangles, height)])
     walls = sections(triangles, height)
     outline = (walls if len(walls) > 3 else triangles[..., :2]).reshape(-1, 2)
     low, high = outline.min(axis=0), outline.max(axis=0)
-    spots = rng.uniform(low, high, (TRIALS, 2))
+    spots = rng.uniform(low, high, (TRIALS, 2)) if spots is None else spots
     spots = spots[~blocked(np.column_stack([spots, np.full(len(spots), height)]))]
     azimuth = 2 * np.pi * np.arange(RAYS) / RAYS
     rays = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
