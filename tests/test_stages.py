@@ -41,6 +41,7 @@ def test_a_simulated_run_ends_with_a_summary_a_table_and_figures(simulated, tmp_
     assert keys | {"gospa_va_m", "gospa_sp_m", "va_found", "va_total", "sp_found", "nees", "seed"} <= set(written)
     assert set(written["variants"]) == {stages.variant_name(*variant) for variant in VARIANTS}
     assert written["ate_m"] == pytest.approx(written["position_rmse_m"]) and written["rpe_m"] > 0
+    assert 0.5 < written["nis_per_row"] < 2.0 and "NIS" in (tmp_path / "table.txt").read_text()
     assert written["t_gospa_va_m"] > written["gospa_va_m"] and written["ospa_va_m"] < 20
     for name in ("plan", "errors", "gospa"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000

@@ -66,7 +66,7 @@ def make(
         entries: list[dict] = []
         progress("cases", 0, len(drives))
         for done, made in enumerate(work, start=1):
-            entries += made
+            entries += made or []
             progress("cases", done, len(drives))
         wanted = {c.name for c in cases}
         manifest = {

@@ -34,7 +34,7 @@ def timed_bars() -> Iterator[Progress]:
         yield report
 
 
-FUNCTIONS = 90  # that the first filter compiles on its first run, about; what the time left is reckoned from
+FUNCTIONS = 150  # that the first filter compiles on its first run, about; what the time left is reckoned from
 
 
 @contextlib.contextmanager

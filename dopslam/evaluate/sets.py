@@ -93,7 +93,9 @@ def trajectory_gospa(
     weight, changed = _assignment(parts.sum(axis=0), 0.5 * switch**order)
     shares = [float((part * weight).sum()) for part in parts]
     change = 0.5 * switch**order * changed
-    return TrajectoryGospa(max(sum(shares) + change, 0.0) ** (1 / order), *shares, change)
+    localization, missed, false = shares
+    total = max(sum(shares) + change, 0.0)
+    return TrajectoryGospa(total ** (1 / order), localization, missed, false, change)
 
 
 def _assignment(cost: Array, penalty: float) -> tuple[Array, float]:
@@ -129,7 +131,7 @@ def _assignment(cost: Array, penalty: float) -> tuple[Array, float]:
         bounds=limits,
         method="highs",
     )
-    if found.status != 0:
+    if found.status != 0 or found.x is None:
         raise DopslamError(f"trajectory_gospa: the linear program was not solved ({found.message})")
     return found.x[: size * steps].reshape(cost.shape), float(found.x[size * steps :].sum())
 
@@ -140,7 +142,7 @@ def _blocks(matrix, count: int):
 
 
 def _exists(trajectories: Array) -> NDArray[np.bool_]:
-    return np.isfinite(trajectories).all(axis=2)
+    return np.asarray(np.isfinite(trajectories).all(axis=2))
 
 
 def _check(name: str, cutoff: float, order: float) -> None:

@@ -23,14 +23,14 @@ def write_gltf(parts: list[Part], out: Path) -> None:
     for run in runs_of(parts):
         scene = _trimesh().Scene(meshes(run))
         scene.apply_transform(Y_UP)
-        (out / f"{run.name}.glb").write_bytes(scene.export(file_type="glb"))
+        scene.export(out / f"{run.name}.glb")
 
 
 def write_ply(parts: list[Part], out: Path) -> None:
     """``slam_….ply`` for every filter history."""
     for run in runs_of(parts):
         whole = _trimesh().util.concatenate(list(meshes(run).values()))
-        (out / f"{run.name}.ply").write_bytes(whole.export(file_type="ply"))
+        whole.export(out / f"{run.name}.ply")
 
 
 def _trimesh():

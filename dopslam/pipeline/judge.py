@@ -96,6 +96,7 @@ def judged(
             scenario.evaluation.gospa_order,
             largest_order(split_variant(name)[0], landmarks),
         )
+        | ({"nis_per_row": histories[name].nis_per_row} if np.isfinite(histories[name].nis_per_row) else {})
         | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()

@@ -297,8 +297,9 @@ def slam(
     """
     problem = build.problem(scenario)
     scans = problem.scans(detections)
-    history, _ = run_filter(problem, scans, build.chosen_filter(scenario, name, doppler), seed)
-    return replace(history, lost=divergence(history, scans, problem.anchor, problem.height))
+    history, told = run_filter(problem, scans, build.chosen_filter(scenario, name, doppler), seed)
+    lost = divergence(history, scans, problem.anchor, problem.height)
+    return replace(history, lost=lost, nis_per_row=told.nis_per_row)
 
 
 def uses_doppler(scenario: Scenario, name: str) -> bool:

@@ -79,6 +79,8 @@ def _shown(variants: dict) -> list:
             return any(v.get(label) for v in variants.values())
         if label.startswith(("GOSPA", "VAs", "SPs")):  # nothing is known of a map without a single true landmark
             return any(v["va_total"] + v["sp_total"] for v in variants.values())
+        if label.startswith("NIS"):
+            return any(v.get("nis_per_row") is not None for v in variants.values())
         return not label.startswith("walls") or any(v.get("walls_total") for v in variants.values())
 
     states = max((v.get("nees_states", 4) for v in variants.values()), default=4)
@@ -110,6 +112,7 @@ _ROWS = (
     ("heading RMSE, °", _with_ratio("heading_rmse_deg", "heading")),
     ("clock bias RMSE, m", _with_ratio("clock_bias_rmse_m", "clock")),
     ("NEES", _number("nees", 1)),
+    ("NIS per row (expect 1)", _number("nis_per_row", 2)),
     ("GOSPA of VAs, m", _number("gospa_va_m", 2)),
     ("GOSPA of SPs, m", _number("gospa_sp_m", 2)),
     ("VAs found", lambda v: f"{v['va_found']} of {v['va_total']}"),

@@ -37,6 +37,12 @@ class Diagnostics:
     associations: tuple[NDArray[np.int64], ...]
     existence: tuple[Array, ...]
 
+    @property
+    def nis_per_row(self) -> float:
+        """Normalized innovation squared over its degrees of freedom, over all steps that tell one; 1 is expected."""
+        told = np.isfinite(self.nis) & (self.nis_rows > 0)
+        return float(self.nis[told].sum() / self.nis_rows[told].sum()) if told.any() else float("nan")
+
     @classmethod
     def none(cls, steps: int) -> Diagnostics:
         """Of a filter that tells nothing."""
@@ -60,6 +66,8 @@ class History(Ragged):
     track : (N,) int array; number of the measurement that bore the track
     lost : why the receiver counts as lost, told without the truth (:mod:`dopslam.slam.health`); empty if it does not
     restarted : from which steps the filter was started anew, and why (:mod:`dopslam.slam.restart`); empty if it was not
+    nis_per_row : normalized innovation squared of the likeliest association over its degrees of freedom, over all steps; 1 is
+        expected, NaN where the filter has none
     """
 
     OFFSETS: ClassVar[str] = "map_offsets"
@@ -76,6 +84,7 @@ class History(Ragged):
     track: NDArray[np.int64]
     lost: str = ""
     restarted: str = ""
+    nis_per_row: float = float("nan")
 
     def __post_init__(self) -> None:
         check_offsets("History", self.map_offsets, len(self.position))
