@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+if TYPE_CHECKING:
+    from http.server import ThreadingHTTPServer
 
-def view(results: Path = Path("runs/latest"), *, open_: Annotated[bool, Parameter(name="--open")] = True) -> None:
+
+def view(
+    results: Path = Path("runs/latest"),
+    *,
+    open_: Annotated[bool, Parameter(name="--open")] = True,
+    serve: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
     """Open report.html of a results folder, made anew from its dataset where it is missing.
 
     Parameters
@@ -17,6 +26,8 @@ def view(results: Path = Path("runs/latest"), *, open_: Annotated[bool, Paramete
         Results folder, report.html, or a dataset file that holds a filter's history and its bound.
     open_
         Show it in the browser; --no-open only makes it and prints its path.
+    serve
+        Serve the page on 127.0.0.1 instead until Ctrl-C, for a browser at the other end of an SSH tunnel.
     """
     import webbrowser
 
@@ -33,5 +44,33 @@ def view(results: Path = Path("runs/latest"), *, open_: Annotated[bool, Paramete
         page = data.with_name("report.html")
         stages.report(data, data.parent, *stages.evaluate(data))
     print(f"report: {page.resolve()}")
-    if open_:
+    if serve:
+        with server_of(page) as server:
+            print(f"serving on http://127.0.0.1:{server.server_address[1]}/ until Ctrl-C", flush=True)
+            with contextlib.suppress(KeyboardInterrupt):
+                server.serve_forever()
+    elif open_:
         webbrowser.open(page.resolve().as_uri())
+
+
+def server_of(page: Path) -> ThreadingHTTPServer:
+    """A server of one page, and of nothing else, that only this machine can reach."""
+    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+    content = page.read_bytes()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.path.partition("#")[0] not in ("/", "/report.html"):
+                self.send_error(404)
+                return
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing: a page that is read is no event."""
+
+    return ThreadingHTTPServer(("127.0.0.1", 0), Handler)

@@ -86,3 +86,25 @@ def test_help_of_every_verb_is_there(call, capsys):
     assert call("--help") == 0
     text = capsys.readouterr().out
     assert all(verb in text for verb in VERBS)
+
+
+def test_the_page_is_served_to_this_machine_and_nothing_else_is(tmp_path):
+    import threading
+    import urllib.error
+    import urllib.request
+
+    from dopslam.cli.view import server_of
+
+    page = tmp_path / "report.html"
+    page.write_text("<p>ready</p>", encoding="utf-8")
+    (tmp_path / "secret").write_text("no")
+    with server_of(page) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_address[1]}"
+        assert server.server_address[0] == "127.0.0.1"
+        with urllib.request.urlopen(f"{address}/") as answer:
+            assert answer.read() == b"<p>ready</p>"
+        for path in ("secret", "../secret", "report.html/../secret"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                urllib.request.urlopen(f"{address}/{path}")
+        server.shutdown()

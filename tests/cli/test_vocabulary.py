@@ -35,7 +35,7 @@ MEANINGS = {
     "--scale": ("float", "of new"), "--carrier": ("str", "of new, Hz"), "--bandwidth": ("str", "of new, Hz"),
     "--height": ("float", "of new, m"), "--wall": ("str", "of new"), "--keep-signal": ("bool", "of run"),
     "--visibility": ("str", "of bound"), "--information": ("Literal", "of bound"), "--contributions": ("Path", "of bound"),
-    "--plan": ("Path", "of sweep"), "--results": ("Path", "of view, a folder or a file in it"), "--open": ("bool", "of view"), "--positions": ("int", "of dataset"),
+    "--plan": ("Path", "of sweep"), "--results": ("Path", "of view, a folder or a file in it"), "--open": ("bool", "of view"), "--serve": ("bool", "of view"), "--positions": ("int", "of dataset"),
     "--resume": ("bool", "of dataset"), "--signal": ("bool", "of dataset"), "--detections": ("bool", "of dataset"),
     "--path": ("str", "of check"), "--table": ("Path", "of import"), "--map": ("Path", "of import"),
     "--track": ("Path", "of import"), "--to": ("Literal", "of export"), "--drive": ("int", "of export"), "--origin": ("str", "of export, latitude and longitude"),
