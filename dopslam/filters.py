@@ -1,6 +1,7 @@
-"""The filters by name, and by class: ``dopslam.filters.Joint(iterations=1)``. Nothing is imported before it is used.
+"""The filters by name, and by class: ``dopslam.filters.Joint(iterations=1)``; and the motion models that they are told by name.
+Nothing is imported before it is used.
 
-A package installed beside adds its own by an entry point of the group ``dopslam.filters``.
+A package installed beside adds its own by an entry point of the group ``dopslam.filters`` or ``dopslam.motions``.
 """
 
 from __future__ import annotations
@@ -21,6 +22,18 @@ _OWN = {
 }
 FILTERS = Table("filter", "dopslam.filters", _OWN, ConfigError)
 """The only place where the names of filters are spelled."""
+
+MOTIONS = Table(
+    "motion model",
+    "dopslam.motions",
+    {
+        "known": "dopslam.models.motion:known",
+        "unknown": "dopslam.models.motion:unknown",
+        "walk": "dopslam.models.motion:walk",
+    },
+    ConfigError,
+)
+"""The only place where the names of motion models are spelled (:mod:`dopslam.models.motion`)."""
 
 _CLASSES = {where.partition(":")[2]: name for name, where in _OWN.items()}
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from dopslam.config.scenario import Scenario, load, override
 from dopslam.errors import ConfigError
-from dopslam.filters import FILTERS
+from dopslam.filters import FILTERS, MOTIONS
 from dopslam.pipeline.reads import _HANDED, handed, refuse_unread
 
 NO_VALUE = {"name", "title"}  # said in reports
@@ -41,7 +41,7 @@ def others(scenario, path, field):
         tried = [value * 2, value / 2, value + 1, value - 1, value * 0.9, value + 0.25]
         tried = [int(v) for v in tried] if isinstance(value, int) else tried
     elif isinstance(value, str):
-        tried = [c for c in choices if isinstance(c, str)] or [*FILTERS, "sage", "other", "concrete"]
+        tried = [c for c in choices if isinstance(c, str)] or [*FILTERS, *MOTIONS, "sage", "other", "concrete"]
     elif isinstance(value, tuple) and value and isinstance(value[0], int | float):
         tried = [[*value[:-1], value[-1] * 1.5 + 0.5], [v * 1.5 for v in value], [*value[:-1], int(value[-1]) + 1]]
     else:

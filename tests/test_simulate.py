@@ -7,12 +7,16 @@ import pytest
 
 from dopslam.errors import FilterError
 from dopslam.evaluate.metrics import state_errors
+from dopslam.models.amplitude import AmplitudeModel, Radio, flat_rms_bandwidth
 from dopslam.models.measurement import SP, measure, residual
 from dopslam.models.motion import propagate
 from dopslam.simulate.world import (
+    AmplitudeNoise,
     SnrNoise,
+    draw_scans,
     draw_track,
     generators,
+    noise_of,
     nominal_track,
     section_v,
     simulate,
@@ -105,3 +109,33 @@ def test_noise_over_the_pole_is_another_direction():
     _, scans = simulate(wide, 1, 0)
     assert np.abs(scans.z[:, [2, 4]]).max() <= np.pi / 2
     assert np.abs(scans.z[:, [1, 3]]).max() <= np.pi
+
+
+def test_amplitudes_decide_what_is_seen_and_how_exactly():
+    """Paper B's noise in the same world: detections as often as Marcum's Q says, errors of Fisher's size, R as observed."""
+    detector = AmplitudeModel(threshold=10**0.45, samples=1e6)
+    radio = Radio(28e9, flat_rms_bandwidth(400e6), 0.01, 0.02)
+    noise = AmplitudeNoise(np.full(9, 4.0), np.full(9, 200.0), radio, detector, doppler_unit=0.5)
+    steady = replace(section_v(), noise=noise, steps=60, clutter_count=2.0)
+    states = nominal_track(steady)
+    told = noise_of(steady, states)
+    seen = np.zeros(told.probability.shape)
+    squares, reported = [], []
+    for seed in range(40):
+        scans = draw_scans(steady, states, *(np.random.default_rng([seed, i]) for i in range(2)))
+        step, label = scans.step_of_row, scans.label
+        assert np.all(scans.snr > scans.threshold)
+        np.testing.assert_allclose(scans.covariance[:, 0, 0], radio.unit_deviations[0] ** 2 / scans.snr)
+        true = label >= 0
+        seen[step[true], label[true]] += 1
+        exact = measure(
+            steady.motion.pose(states[step[true]]), steady.position[label[true]], steady.kind[label[true]], steady.bs
+        )
+        squares.append((scans.z[true, 0] - exact[:, 0]) ** 2 / told.covariance[step[true], label[true], 0, 0])
+        reported.append(scans.snr[true] / told.snr[step[true], label[true]])
+    expected = 40 * told.probability
+    assert abs(seen.sum() - expected.sum()) < 5 * np.sqrt((expected * (1 - told.probability)).sum())
+    count = sum(map(len, squares))
+    assert abs(np.concatenate(squares).mean() - 1) < 5 * np.sqrt(2 / count)
+    assert 0.9 < np.median(np.concatenate(reported)) < 1.3  # what passes the threshold looks stronger
+    assert told.snr.min() > 0 and noise.detection is None

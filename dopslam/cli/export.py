@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -11,10 +11,7 @@ from cyclopts import Parameter
 def export(
     dataset: Path,
     *,
-    to: Annotated[
-        Literal["mat", "deepmimo", "tum", "sigmf", "csv", "geojson", "gltf", "ply", "mcap", "drives"],
-        Parameter(name="--to"),
-    ],
+    to: Annotated[str, Parameter(name="--to")],
     out: Path,
     drive: int | None = None,
     origin: str | None = None,
@@ -28,7 +25,7 @@ def export(
     to
         mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv:
         paths. geojson, gltf, ply: the map of every filter with its walls. mcap: its run as ROS 2 messages. drives: a dataset
-        file for every drive, which slam, bound and evaluate take.
+        file for every drive, which slam, bound and evaluate take. module:Class or file.py:Class is one of your own.
     out
         Folder to make.
     drive

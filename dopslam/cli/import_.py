@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 def import_(
     table: Path,
     *,
-    mapping: Annotated[Path, Parameter(name="--map")],
     scene: str,
     out: Path,
+    mapping: Annotated[Path | None, Parameter(name="--map")] = None,
+    from_: Annotated[str, Parameter(name="--from")] = "table",
     track: Path | None = None,
     settings: Settings = None,
 ) -> None:
@@ -29,7 +30,9 @@ def import_(
     table
         CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
     mapping
-        TOML that says what the columns mean; see the documentation of dopslam.formats.table.
+        TOML that says what the columns of a table mean; see the documentation of dopslam.formats.table.
+    from_
+        Format of the file: table, or one of your own, module:Class or file.py:Class.
     scene
         Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
     out
@@ -49,18 +52,15 @@ def import_(
     from dopslam.config.scenario import load
     from dopslam.datasets import tracks
     from dopslam.errors import DatasetError
-    from dopslam.formats import table as foreign
+    from dopslam.formats.contract import reader
     from dopslam.formats.shown import shown_by
-    from dopslam.formats.times import period_of
     from dopslam.pipeline import problem as build
     from dopslam.store import file as dataset
 
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
-    rule = foreign.read_mapping(mapping)
-    kind = "traced" if foreign.knows_snr(rule) else "model"
-    columns = foreign.read_table(table, list(rule.columns.values()))
-    period = None if "step" in rule.columns else period_of(columns[rule.columns["time"]])
+    opened = reader(from_).read(table, mapping)
+    kind, period = "traced" if opened.snr else "model", opened.period
 
     def world_of(shown: Shown, *more: str) -> Scenario:
         return load(scene, [f"source.kind={kind}", *flags, *more], replace(shown, period=period))
@@ -74,11 +74,10 @@ def import_(
         truth, _ = source.part(0, int(source.lengths.sum()))
         if "bias" not in trackfile.read_rows(track, "--track"):  # the clock's truth is not known then
             truth = replace(truth, bias=np.full(truth.steps, np.nan))
-    steps = None if truth is None else truth.steps
-    found = foreign.detections(table, rule, world, steps, truth, columns)
-    shown = shown_by(found, period, bool({"doppler", "radial_velocity"} & set(rule.columns)))
+    found = opened.detections(world, truth)
+    shown = shown_by(found, period, opened.doppler)
     world = world_of(shown, f"track.steps={max(found.steps, 1)}")
-    found = foreign.detections(table, rule, world, steps, truth, columns)  # searched as wide as they show
+    found = opened.detections(world, truth)  # searched as wide as they show
     records = {"base_stations": build.base_stations(world), "detections": found}
     if truth is not None:
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
@@ -86,7 +85,7 @@ def import_(
     doubt = _doubt(found, records["base_stations"], world.receiver.height)
     if doubt:
         Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {doubt}")
-    hint = "" if {"doppler", "radial_velocity"} & set(rule.columns) else " --doppler-std none"
+    hint = "" if opened.doppler else " --doppler-std none"
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dopslam.config.arrays import ArrayConfig
 from dopslam.config.belief import BeliefConfig, ExperimentConfig
@@ -26,7 +26,7 @@ from dopslam.config.types import (
     Vector3,
 )
 from dopslam.errors import ConfigError
-from dopslam.filters import FILTERS
+from dopslam.filters import FILTERS, MOTIONS
 
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
@@ -200,7 +200,8 @@ class Filter(Frozen):
     birth_sp: NonNegative = 0.0
     thinning: bool = False  # reduce the undetected intensity inside the field of view after every scan
     # Speed and turn rate known, or in the state; walk: neither, positions and headings wander from scan to scan.
-    motion: Literal["known", "unknown", "walk"] = "known"
+    motion: str = "known"  # a name of dopslam.filters.MOTIONS, or an own "module:Class" or "file.py:Class"
+    motion_options: dict[str, Any] = Field(default_factory=dict)  # of a motion model of one's own
     clock: Literal["walk", "free"] = "walk"  # free: the clock bias is drawn anew at every scan
     position_walk: Spread | None = None  # m per step of a walk; default what the speed covers in a period
     heading_walk: Spread = 0.5  # rad per step of a walk
@@ -209,11 +210,11 @@ class Filter(Frozen):
     speed_walk: Spread = 0.1  # m/s per step
     turn_rate_walk: Spread = 0.002  # rad/s per step
 
-    @field_validator("density")
+    @field_validator("density", "motion")
     @classmethod
-    def _known_density(cls, name: str) -> str:
+    def _known_name(cls, name: str, info: ValidationInfo) -> str:
         try:
-            return FILTERS.checked(name)
+            return (FILTERS if info.field_name == "density" else MOTIONS).checked(name)
         except ConfigError as error:
             raise ValueError(str(error)) from None
 

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dopslam.errors import FilterError
 from dopslam.evaluate.recursion import LinearizedRun, filtering, smoothing
-from dopslam.models.measurement import BS, jacobians, wrap
-from dopslam.models.motion import CoordinatedTurn, paced, transition_jacobian
-from dopslam.records import Track
-from dopslam.simulate.world import FixedNoise, Situation, noise_of, nominal_track
+from dopslam.models.measurement import BS, jacobians
+from dopslam.models.motion import TURN, MotionModel
+from dopslam.models.pose import POSE
+from dopslam.simulate.world import Situation, noise_of, nominal_track
 
 Array = NDArray[np.float64]
 
@@ -56,11 +56,11 @@ class Bound:
         """Landmark error bounds (K, L) [m]; NaN before the first detection and for the BS."""
         return np.sqrt(np.trace(self.landmark, axis1=-2, axis2=-1))
 
-    def squared(self) -> dict[str, Array]:
+    def squared(self, names: tuple[str, ...] = TURN) -> dict[str, Array]:
         """Squared bounds (K,) under the names of `metrics.squared_errors`."""
         parts = {"position": self.peb**2, "heading": self.heb**2, "clock": self.ceb**2}
-        if self.covariance.shape[1] == 6:
-            parts |= {"speed": self.covariance[:, 4, 4], "turn_rate": self.covariance[:, 5, 5]}
+        for i, name in list(enumerate(names))[len(POSE) : self.covariance.shape[1]]:
+            parts[name] = self.covariance[:, i, i]
         return parts
 
 
@@ -71,8 +71,8 @@ def measurement_information(
     covariance: Array,
     weight: Array,
     bs: Array,
+    motion: MotionModel,
     *,
-    speed: float,
     height: float = 0.0,
     doppler: bool = True,
 ) -> tuple[Array, Array, Array]:
@@ -81,7 +81,8 @@ def measurement_information(
     `weight` (K, L) scales them: a detection mask, or p_D to weight the information.
     """
     rows = 6 if doppler else 5
-    by_state, by_landmark = jacobians(states[:, None], position, kind, bs, speed=speed, height=height)
+    by_pose, by_landmark = jacobians(motion.pose(states[:, None], height), position, kind, bs)
+    by_state = by_pose @ motion.pose_jacobian(states)[:, None]
     by_state, by_landmark = by_state[..., :rows, :], by_landmark[..., :rows, :]
     inverse = row_information(covariance[..., :rows, :rows], weight)
     left_state = np.swapaxes(by_state, -1, -2) @ inverse
@@ -122,7 +123,7 @@ def pcrb(
     states: Array,
     start: Array,
     prior_covariance: Array,
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     position: Array,
     kind: NDArray[np.int64],
     covariance: Array,
@@ -141,7 +142,7 @@ def pcrb(
     states : (K, n) array; true states at the measured steps
     start : (n,) array; state one interval before the first step, where the prior is
     prior_covariance : (n, n) array
-    motion : CoordinatedTurn
+    motion : MotionModel
     position, kind : (L, 3), (L,) true landmarks; those of kind BS are known
     covariance : (K, L, 6, 6) array; R of every step and landmark (anything invertible where not detected)
     detected : (K, L) array; detection mask, or weights in [0, 1]
@@ -154,8 +155,10 @@ def pcrb(
     -------
     Bound
     """
-    states = np.asarray(states, dtype=float)
+    states, start = np.array(states, dtype=float), np.array(start, dtype=float)
     steps, n = states.shape
+    # A clock bias that nobody knows (NaN): no Jacobian depends on it.
+    states[:, 3], start[3] = np.nan_to_num(states[:, 3]), np.nan_to_num(start[3])
     count = len(kind)
     covariance = np.broadcast_to(covariance, (steps, count, 6, 6))
     detected = np.broadcast_to(np.asarray(detected, dtype=float), (steps, count))
@@ -165,14 +168,14 @@ def pcrb(
             f"{np.shape(prior_covariance)}; they must agree"
         )
     aa, ab, bb = measurement_information(
-        states, position, kind, covariance, detected, bs, speed=motion.speed, height=height, doppler=doppler
+        states, position, kind, covariance, detected, bs, motion, height=height, doppler=doppler
     )
     free = np.asarray(kind) != BS
-    moves = [paced(motion, float(p)) for p in (np.ones(steps) if pace is None else pace)]
-    previous = np.vstack([np.asarray(start, dtype=float), states[:-1]])
+    moves = [motion.paced(float(p)) for p in (np.ones(steps) if pace is None else pace)]
+    previous = np.vstack([start, states[:-1]])
     run = LinearizedRun(
         prior=np.asarray(prior_covariance, dtype=float),
-        transition=np.stack([transition_jacobian(s, m) for s, m in zip(previous, moves, strict=True)]),
+        transition=np.stack([m.jacobian(s) for s, m in zip(previous, moves, strict=True)]),
         noise=np.stack([m.process_noise for m in moves]),
         state=aa.sum(axis=1),
         cross=ab[:, free],
@@ -182,20 +185,6 @@ def pcrb(
     landmark = np.full((steps, count, 3, 3), np.nan)
     ue, landmark[:, free] = smoothing(run) if smoothed else filtering(run)
     return Bound(ue, landmark)
-
-
-def true_states(track: Track, motion: CoordinatedTurn) -> tuple[Array, Array]:
-    """States (K, n) of a true track and its start (n,), with speed and turn rate where the motion model carries them.
-
-    A clock bias that nobody knows (NaN) is 0 here: no Jacobian depends on it.
-    """
-    states, start = np.array(track.state), np.array(track.start, float)
-    states[:, 3], start[3] = np.nan_to_num(states[:, 3]), np.nan_to_num(start[3])
-    if motion.dimension == states.shape[1]:
-        return states, start
-    speed = np.sum(track.velocity[:, :2] * np.column_stack([np.cos(track.heading), np.sin(track.heading)]), axis=1)
-    rate = wrap(np.diff(track.heading, prepend=start[2])) / np.diff(track.time, prepend=track.time[0] - motion.interval)
-    return np.column_stack([states, speed, rate]), np.append(start, [speed[0], rate[0]])
 
 
 def situation_bound(
@@ -230,7 +219,7 @@ def situation_bound(
     if detected is None:
         if weight_by_probability:
             detected = probability
-        elif isinstance(situation.noise, FixedNoise):
+        elif situation.noise.detection is not None:
             ue = np.column_stack([states[:, :2], np.full(len(states), situation.height)])
             near = np.linalg.norm(situation.position - ue[:, None], axis=-1) < (visibility or np.inf)
             detected = near | (situation.kind != 2)
@@ -297,7 +286,7 @@ def doppler_contribution(situation: Situation, states: Array | None = None) -> D
             covariance,
             np.ones(probability.shape),
             situation.bs,
-            speed=situation.motion.speed,
+            situation.motion,
             height=situation.height,
             doppler=doppler,
         )

@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from dopslam.errors import DopslamError
+from dopslam.models.pose import POSE
 
 Array = NDArray[np.float64]
 
@@ -77,18 +78,20 @@ def state_errors(estimate: Array, truth: Array) -> Array:
     return error
 
 
-def squared_errors(error: Array) -> dict[str, Array]:
-    """Squared errors of position [m²], heading [rad²], clock [m²] and, with six states, speed and turn
-    rate.
+def squared_errors(error: Array, names: tuple[str, ...] = POSE) -> dict[str, Array]:
+    """Squared errors of position [m²], heading [rad²], clock [m²] and of what a motion model has beyond, by its name.
+
+    Parameters
+    ----------
+    error : (..., n)
+    names : of the n states
     """
     parts = {
         "position": error[..., 0] ** 2 + error[..., 1] ** 2,
         "heading": error[..., 2] ** 2,
         "clock": error[..., 3] ** 2,
     }
-    if error.shape[-1] == 6:
-        parts |= {"speed": error[..., 4] ** 2, "turn_rate": error[..., 5] ** 2}
-    return parts
+    return parts | {name: error[..., i] ** 2 for i, name in enumerate(names) if i >= len(POSE)}
 
 
 def nees(error: Array, covariance: Array) -> Array:

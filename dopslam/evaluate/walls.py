@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from dopslam.models.measurement import incidence
+from dopslam.models.paths import incidence
 from dopslam.records import Kind, Landmarks, Track
 from dopslam.slam.history import History
 
@@ -132,7 +132,7 @@ def _mapped(history: History, track: int, last: int, threshold: float) -> np.nda
 
 
 def _incidences(receiver: np.ndarray, anchor: np.ndarray, base_station: np.ndarray) -> np.ndarray:
-    point, fraction, _ = incidence(receiver, np.broadcast_to(anchor, receiver.shape), base_station)
+    point, fraction = incidence(receiver, np.broadcast_to(anchor, receiver.shape), base_station)
     return point[(fraction > 0) & (fraction < 1)]
 
 

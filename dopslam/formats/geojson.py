@@ -140,3 +140,16 @@ def tree(run: Mapped, origin: Origin | None) -> dict:
         features.append(feature("track", "LineString", run.position, time_s=run.time.tolist()))
     frame = "meters, world frame (x, y, z up)" if origin is None else "WGS 84"
     return {"type": "FeatureCollection", "frame": frame, "features": features}
+
+
+class GeoJson:
+    """The map of every filter, in meters, or in degrees where an origin is given."""
+
+    writes, reads = True, False
+
+    def __init__(self, origin: Origin | None = None) -> None:
+        self.origin = origin
+
+    def write(self, parts: list[Part], out: Path) -> None:
+        """A file per filter history."""
+        write(parts, out, self.origin)

@@ -159,3 +159,13 @@ def radar_scan(stamp: int, detections: DetectionSeries, step: int) -> dict:
             for row in rows
         ],
     }
+
+
+class Mcap:
+    """The run of every filter as ROS 2 messages."""
+
+    writes, reads = True, False
+
+    def write(self, parts: list[Part], out: Path) -> None:
+        """A file per filter history."""
+        write(parts, out)

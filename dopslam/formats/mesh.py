@@ -66,3 +66,23 @@ def meshes(run: Mapped) -> dict:
     steps = [ball(place, size / 250, TRACK, 0) for place in run.position]
     found["track"] = painted(trimesh.util.concatenate(steps), TRACK)
     return found
+
+
+class Gltf:
+    """The map of every filter as glTF."""
+
+    writes, reads = True, False
+
+    def write(self, parts: list[Part], out: Path) -> None:
+        """A file per filter history."""
+        write_gltf(parts, out)
+
+
+class Ply:
+    """The map of every filter as PLY."""
+
+    writes, reads = True, False
+
+    def write(self, parts: list[Part], out: Path) -> None:
+        """Files per filter history."""
+        write_ply(parts, out)

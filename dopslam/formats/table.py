@@ -56,8 +56,9 @@ import numpy as np
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.formats import matlab
+from dopslam.formats.contract import Opened
 from dopslam.formats.possible import QUANTITIES, refuse_impossible, refuse_strengths
-from dopslam.formats.times import snapshots
+from dopslam.formats.times import period_of, snapshots
 from dopslam.models import unmeasured
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 
@@ -329,3 +330,22 @@ def _snr(get: dict[str, np.ndarray], mapping: Mapping) -> np.ndarray:
 def knows_snr(mapping: Mapping) -> bool:
     """Whether the table tells the strength of its paths, so that the probability of detection can follow it."""
     return bool({"snr", "power"} & set(mapping.columns))
+
+
+class ForeignTable:
+    """A CSV or MATLAB table with a mapping."""
+
+    writes, reads = False, True
+
+    def read(self, path: Path, mapping: Path | None) -> Opened:
+        """Open it."""
+        if mapping is None:
+            raise DatasetError(f"{path}: a table needs a mapping that says what its columns mean; give --map")
+        rule = read_mapping(mapping)
+        columns = read_table(path, list(rule.columns.values()))
+
+        def found(world: Scenario, truth: Track | None) -> DetectionSeries:
+            return detections(path, rule, world, None if truth is None else truth.steps, truth, columns)
+
+        period = None if "step" in rule.columns else period_of(columns[rule.columns["time"]])
+        return Opened(found, period, bool({"doppler", "radial_velocity"} & set(rule.columns)), knows_snr(rule))

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import ncx2, norm
 
 from dopslam.errors import FilterError
-from dopslam.models.measurement import SP
 
 Array = NDArray[np.float64]
 
@@ -79,21 +78,6 @@ def probability_from_snr(snr: ArrayLike, threshold: float) -> Array:
         return norm.sf(np.sqrt(squared) - np.sqrt(offset + 7.0))
     exact = ncx2.sf(squared, 8, np.minimum(offset, STRONG))
     return np.where(offset > STRONG, norm.sf(np.sqrt(squared) - np.sqrt(offset + 7.0)), exact)
-
-
-def spreading_loss(kind: ArrayLike, landmark: Array, ue: Array, bs: Array) -> Array:
-    """Geometric loss: squared distance to the anchor, or for an SP the product of both squared distances
-    [m², m⁴].
-
-    Parameters
-    ----------
-    kind : (...) int array
-    landmark, ue : (..., 3) arrays [m]
-    bs : (3,) array
-    """
-    near = np.sum((np.asarray(landmark) - ue) ** 2, axis=-1)
-    far = np.sum((np.asarray(landmark) - bs) ** 2, axis=-1)
-    return np.where(np.asarray(kind) == SP, near * far, near)
 
 
 def detection_table(model: DetectionModel) -> Array:

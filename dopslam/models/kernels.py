@@ -1,8 +1,10 @@
 """Compiled twins of `motion` and `measurement` for the filters' hot loops; tests hold them equal to the
 NumPy versions.
 
-One landmark at a time, results written into arrays the caller owns. `site` is `(bs_x, bs_y, bs_z, height,
-speed)`.
+One landmark at a time, results written into arrays the caller owns. `site` is `(bs_x, bs_y, bs_z, height, speed)`, which
+makes the receiver move straight ahead as a coordinated turn does, at the speed of the site or at the fifth entry of its
+state if it has one. With a sixth entry, an array (3, n + 1), its velocity is `site[5][:, :n] @ state + site[5][:, n]`: any
+motion model, linearized where it was predicted.
 """
 
 from __future__ import annotations
@@ -76,6 +78,18 @@ def _direction_rows(vx, vy, vz, row, z, gradient):
 
 
 @compiled
+def moving(state, site):
+    """Velocity of a receiver whose motion model is linearized in the site."""
+    n = state.shape[0]
+    vx, vy, vz = site[5][0, n], site[5][1, n], site[5][2, n]
+    for j in range(n):
+        vx += site[5][0, j] * state[j]
+        vy += site[5][1, j] * state[j]
+        vz += site[5][2, j] * state[j]
+    return vx, vy, vz
+
+
+@compiled
 def predict_measurement(state, landmark, kind, site, z):
     """h(x, s) of eqs. (3)-(12) into z[0:6]; returns False where a VA's incidence point does not lie on the
     path.
@@ -88,7 +102,6 @@ def predict_measurement(state, landmark, kind, site, z):
         ry = site[1] - state[1]
         rz = site[2] - site[3]
     distance = math.sqrt(rx * rx + ry * ry + rz * rz)
-    speed = state[4] if state.shape[0] == 6 else site[4]
     length = distance
     valid = True
     if kind == SP:
@@ -112,8 +125,59 @@ def predict_measurement(state, landmark, kind, site, z):
     z[3] = math.atan2(dy, dx)
     z[4] = math.atan2(dz, math.sqrt(dx * dx + dy * dy))
     if z.shape[0] > 5:
-        z[5] = speed * (math.cos(state[2]) * rx + math.sin(state[2]) * ry) / distance
+        if len(site) == 5:
+            speed = state[4] if state.shape[0] > 4 else site[4]
+            z[5] = speed * (math.cos(state[2]) * rx + math.sin(state[2]) * ry) / distance
+        else:
+            vx, vy, vz = moving(state, site)
+            z[5] = (vx * rx + vy * ry + vz * rz) / distance
     return valid
+
+
+@compiled
+def log_spreading(kind, landmark, state, site):
+    """Log of the geometric spreading loss: d² for BS and VA, d₁²·d₂² for SP."""
+    if kind == 0:
+        near = (site[0] - state[0]) ** 2 + (site[1] - state[1]) ** 2 + (site[2] - site[3]) ** 2
+        return math.log(near)
+    near = (landmark[0] - state[0]) ** 2 + (landmark[1] - state[1]) ** 2 + (landmark[2] - site[3]) ** 2
+    loss = math.log(max(near, 1e-6))
+    if kind == SP:
+        far = (landmark[0] - site[0]) ** 2 + (landmark[1] - site[1]) ** 2 + (landmark[2] - site[2]) ** 2
+        loss += math.log(max(far, 1e-6))
+    return loss
+
+
+@compiled
+def starting_point(z, state, kind, site, x):
+    """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the
+    direct one.
+
+    VA, SR: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
+    their mean.
+    """
+    length = z[0] - state[3]
+    wx, wy, wz = site[0] - state[0], site[1] - state[1], site[2] - site[3]
+    direct2 = wx * wx + wy * wy + wz * wz
+    if not length * length > direct2 or length <= 0.0:
+        return False
+    azimuth = z[1] + state[2]
+    flat = math.cos(z[2])
+    qx, qy, qz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(z[2])
+    if kind != SP:
+        x[0] = state[0] + length * qx
+        x[1] = state[1] + length * qy
+        x[2] = site[3] + length * qz
+        return True
+    flat = math.cos(z[4])
+    px, py, pz = flat * math.cos(z[3]), flat * math.sin(z[3]), math.sin(z[4])
+    excess = length * length - direct2
+    arrival = 0.5 * excess / (length - (wx * qx + wy * qy + wz * qz))
+    departure = 0.5 * excess / (length + (wx * px + wy * py + wz * pz))
+    x[0] = 0.5 * (state[0] + arrival * qx + site[0] + departure * px)
+    x[1] = 0.5 * (state[1] + arrival * qy + site[1] + departure * py)
+    x[2] = 0.5 * (site[3] + arrival * qz + site[2] + departure * pz)
+    return True
 
 
 @compiled
@@ -122,10 +186,10 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
 
     Parameters
     ----------
-    state : (4,) or (6,) array
+    state : (n,) array
     landmark : (3,) array (not read for a BS)
     kind : int
-    site : 5-tuple
+    site : tuple, as the module says
     z, by_state, by_landmark : (m,), (m, n), (m, 3) arrays, written; m = 5 leaves the Doppler row out
 
     Returns
@@ -211,19 +275,31 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
             by_landmark[3 + i, 2] = (1.0 - t) * gz + along * (-az / projection + s * (az - rz))
 
     if rows > 5:
-        speed = state[4] if n == 6 else site[4]
-        cosine, sine = math.cos(state[2]), math.sin(state[2])
-        vx, vy = speed * cosine, speed * sine
-        doppler = vx * qx + vy * qy
-        z[5] = doppler
-        by_landmark[5, 0] = (vx - doppler * qx) / distance
-        by_landmark[5, 1] = (vy - doppler * qy) / distance
-        by_landmark[5, 2] = -doppler * qz / distance
-        by_state[5, 0] = -by_landmark[5, 0]
-        by_state[5, 1] = -by_landmark[5, 1]
-        by_state[5, 2] = -vy * qx + vx * qy
-        if n == 6:
-            by_state[5, 4] = cosine * qx + sine * qy
+        if len(site) == 5:
+            speed = state[4] if n > 4 else site[4]
+            cosine, sine = math.cos(state[2]), math.sin(state[2])
+            vx, vy = speed * cosine, speed * sine
+            doppler = vx * qx + vy * qy
+            z[5] = doppler
+            by_landmark[5, 0] = (vx - doppler * qx) / distance
+            by_landmark[5, 1] = (vy - doppler * qy) / distance
+            by_landmark[5, 2] = -doppler * qz / distance
+            by_state[5, 0] = -by_landmark[5, 0]
+            by_state[5, 1] = -by_landmark[5, 1]
+            by_state[5, 2] = -vy * qx + vx * qy
+            if n > 4:
+                by_state[5, 4] = cosine * qx + sine * qy
+        else:
+            vx, vy, vz = moving(state, site)
+            doppler = vx * qx + vy * qy + vz * qz
+            z[5] = doppler
+            by_landmark[5, 0] = (vx - doppler * qx) / distance
+            by_landmark[5, 1] = (vy - doppler * qy) / distance
+            by_landmark[5, 2] = (vz - doppler * qz) / distance
+            for j in range(n):
+                by_state[5, j] = site[5][0, j] * qx + site[5][1, j] * qy + site[5][2, j] * qz
+            by_state[5, 0] -= by_landmark[5, 0]
+            by_state[5, 1] -= by_landmark[5, 1]
     if kind == BS:
         clear(by_landmark)
     return valid
@@ -233,7 +309,7 @@ def linearize(state, landmark, kind, site, z, by_state, by_landmark):
 def propagate_state(state, interval, speed, rate, jacobian):
     """One step of eq. (1): returns f(s), writes F into `jacobian` (n, n)."""
     n = state.shape[0]
-    if n == 6:
+    if n > 4:
         speed, rate = state[4], state[5]
     half = 0.5 * rate * interval
     if abs(half) < 1e-2:
@@ -254,7 +330,7 @@ def propagate_state(state, interval, speed, rate, jacobian):
         jacobian[i, i] = 1.0
     jacobian[0, 2] = -chord * sine
     jacobian[1, 2] = chord * cosine
-    if n == 6:
+    if n > 4:
         chord_rate = speed * interval * slope * 0.5 * interval
         jacobian[0, 4] = interval * sinc * cosine
         jacobian[1, 4] = interval * sinc * sine
@@ -265,67 +341,11 @@ def propagate_state(state, interval, speed, rate, jacobian):
 
 
 @compiled
-def cholesky(matrix, size):
-    """Lower Cholesky factor of the leading (size, size) block in place; False if it is not positive
-    definite.
-    """
-    for j in range(size):
-        pivot = matrix[j, j]
-        for k in range(j):
-            pivot -= matrix[j, k] * matrix[j, k]
-        if not pivot > 0.0:
-            return False
-        pivot = math.sqrt(pivot)
-        matrix[j, j] = pivot
-        for i in range(j + 1, size):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = value / pivot
-    return True
-
-
-@compiled
-def factorize(matrix, size):
-    """:func:`cholesky` of a covariance that rounding may have made indefinite: as little as it takes is added to its
-    diagonal, up to a hundredth. False if that is not enough, or if it is not finite."""
-    kept = matrix[:size, :size].copy()
-    share = 0.0
-    while share < 0.02:
-        if cholesky(matrix, size):
-            return True
-        share = 1e-12 if share == 0.0 else 10.0 * share
-        for i in range(size):
-            for j in range(size):
-                matrix[i, j] = kept[i, j]
-            matrix[i, i] += share * abs(kept[i, i])
-    return False
-
-
-@compiled
-def solve_lower(factor, size, rows):
-    """Overwrite `rows` (size, columns) with L⁻¹ rows."""
-    columns = rows.shape[1]
-    for i in range(size):
-        for k in range(i):
-            scale = factor[i, k]
-            if scale != 0.0:
-                for j in range(columns):
-                    rows[i, j] -= scale * rows[k, j]
-        scale = 1.0 / factor[i, i]
-        for j in range(columns):
-            rows[i, j] *= scale
-
-
-@compiled
-def solve_lower_vector(factor, size, vector):
-    """Overwrite `vector` (size,) with L⁻¹ vector and return its squared length."""
-    total = 0.0
-    for i in range(size):
-        value = vector[i]
-        for k in range(i):
-            value -= factor[i, k] * vector[k]
-        value /= factor[i, i]
-        vector[i] = value
-        total += value * value
-    return total
+def move_state(state, site, model, pace, jacobian):
+    """The predicted state over `pace` periods, and F into `jacobian`: eq. (1), or as any other motion model left them."""
+    if len(site) == 5:
+        return propagate_state(state, model.interval * pace, site[4], model.turn_rate, jacobian)
+    for i in range(state.shape[0]):
+        for j in range(state.shape[0]):
+            jacobian[i, j] = model.transition[i, j]
+    return model.moved.copy()

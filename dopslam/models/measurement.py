@@ -2,8 +2,8 @@
 
 One measurement is `z = (c·τ + bias [m], AOA azimuth, AOA elevation, AOD azimuth, AOD elevation [rad],
 Doppler [m/s])`. AOA azimuth counts from the heading, AOD from the world's x axis; Doppler (a radial
-velocity) is positive when approaching. The kinds are BS = 0, VA = 1, SP = 2, SR = 3: a second reflection, whose
-departure is unexplained (`seen_noise`). All functions broadcast: K
+velocity) is positive when approaching. What is special to a kind of landmark (BS = 0, VA = 1, SP = 2, SR = 3) is its path
+(:mod:`dopslam.models.paths`); what the receiver does is its pose. All functions broadcast: K
 landmarks for the Kalman filter, K × N particles elsewhere.
 
 Departures from the paper, each with a test: delays are lengths (its eq. (4) is in seconds while Section V
@@ -15,6 +15,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from dopslam.models import paths
+from dopslam.models.pose import (
+    BIAS,
+    COLUMNS,
+    HEADING,
+    POSE,
+    POSITION,
+    VELOCITY,
+    Pose,
+    ahead,
+    pose_jacobian_of,
+    pose_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -41,7 +55,7 @@ def seen_noise(covariance: Array, kind: ArrayLike) -> Array:
 
     Its variances 2π and π/2 have the densities 1/2π and 1/π of a uniform azimuth and elevation at a residual of zero.
     """
-    free = (np.asarray(kind) == SR)[..., None] & np.isin(np.arange(covariance.shape[-1]), (3, 4))
+    free = ~paths.explains_departure(kind)[..., None] & np.isin(np.arange(covariance.shape[-1]), (3, 4))
     uniform = np.diag([0.0, 0.0, 0.0, 2 * np.pi, np.pi / 2, 0.0])[: covariance.shape[-1], : covariance.shape[-1]]
     return np.where(free[..., :, None] | free[..., None, :], uniform, covariance)
 
@@ -50,26 +64,11 @@ def _dot(a: Array, b: Array) -> Array:
     return np.einsum("...i,...i->...", a, b)
 
 
-def incidence(ue: Array, va: Array, bs: Array) -> tuple[Array, Array, Array]:
-    """Point where the path of a virtual anchor meets its wall.
-
-    Returns
-    -------
-    point : (..., 3) incidence point x_VA + t·(x_U - x_VA)
-    t : (...,) fraction of the way from the VA to the UE; the path exists for 0 < t < 1
-    projection : (...,) (x_BS - x_VA)·(x_U - x_VA)
-    """
-    a, w = bs - va, ue - va
-    projection = _dot(a, w)
-    projection = np.where(np.abs(projection) < 1e-12, 1e-12, projection)
-    t = 0.5 * _dot(a, a) / projection
-    return va + t[..., None] * w, t, projection
-
-
-def positions(state: Array, height: float = 0.0) -> Array:
-    """UE positions (..., 3) of states (..., n)."""
-    state = np.asarray(state, dtype=float)
-    return np.stack([state[..., 0], state[..., 1], np.full(state.shape[:-1], height)], axis=-1)
+def directions(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
+    """Unit vectors (..., 3) of azimuths and elevations (...)."""
+    azimuth, elevation = np.broadcast_arrays(np.asarray(azimuth, float), np.asarray(elevation, float))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
 def _angles(vector: Array) -> tuple[Array, Array]:
@@ -79,6 +78,7 @@ def _angles(vector: Array) -> tuple[Array, Array]:
 
 def _angle_gradients(vector: Array) -> tuple[Array, Array]:
     """Gradients of azimuth and elevation, (..., 3) each; at the poles the azimuth's is large but finite."""
+    vector = np.where((vector != 0).any(axis=-1)[..., None], vector, [1.0, 0.0, 0.0])  # nothing explains a departure
     square = _dot(vector, vector)
     flat = np.maximum(vector[..., 0] ** 2 + vector[..., 1] ** 2, 1e-12 * square)
     azimuth = np.stack([-vector[..., 1], vector[..., 0], np.zeros_like(flat)], axis=-1) / flat[..., None]
@@ -89,109 +89,86 @@ def _angle_gradients(vector: Array) -> tuple[Array, Array]:
     return azimuth, elevation
 
 
-def _broadcast(state: Array, landmark: Array, kind: ArrayLike, bs: Array, speed: float, height: float):
-    state = np.asarray(state, dtype=float)
-    shape = np.broadcast_shapes(state.shape[:-1], np.shape(landmark)[:-1], np.shape(kind))
-    state = np.broadcast_to(state, (*shape, state.shape[-1]))
-    kind = np.broadcast_to(np.asarray(kind), shape)
-    # The landmark of kind BS is the BS itself, whatever the caller put there.
-    landmark = np.where((kind == BS)[..., None], bs, np.broadcast_to(landmark, (*shape, 3)))
-    ue = positions(state, height)
-    speeds = state[..., 4] if state.shape[-1] == 6 else np.full(shape, float(speed))
-    heading = state[..., 2]
-    forward = np.stack([np.cos(heading), np.sin(heading), np.zeros(shape)], axis=-1)
-    return state, landmark, kind, ue, speeds, forward
-
-
-def _departure(ue: Array, landmark: Array, kind: Array, bs: Array) -> Array:
-    is_va = (kind == VA)[..., None]
-    anchor = np.where(is_va, landmark, bs + 1.0)  # any point that keeps `incidence` finite where it is not used
-    point, _, _ = incidence(ue, anchor, bs)
-    target = np.where((kind == BS)[..., None], ue, np.where(is_va, point, landmark))
-    return np.where((kind == SR)[..., None], [1.0, 0.0, 0.0], target - bs)
+def _posed(where: Pose | ArrayLike, speed: float, height: float) -> tuple[Pose, Array | None]:
+    """The pose of a state that moves straight ahead, with its Jacobian (..., 8, n); a pose is what it is."""
+    if isinstance(where, Pose):
+        return where, None
+    state = np.asarray(where, dtype=float)
+    told = state.shape[-1] > len(POSE)
+    velocity, by_heading, by_speed = ahead(state[..., 2], state[..., 4] if told else np.full(state.shape[:-1], speed))
+    by_velocity = np.zeros((*state.shape[:-1], 3, state.shape[-1]))
+    by_velocity[..., 2] = by_heading
+    if told:
+        by_velocity[..., 4] = by_speed
+    return pose_of(state, velocity, height), pose_jacobian_of(state, by_velocity)
 
 
 def measure(
-    state: Array, landmark: Array, kind: ArrayLike, bs: Array, *, speed: float = 0.0, height: float = 0.0
+    where: Pose | ArrayLike,
+    landmark: ArrayLike,
+    kind: ArrayLike,
+    bs: ArrayLike,
+    *,
+    speed: float = 0.0,
+    height: float = 0.0,
 ) -> Array:
     """Noise-free measurement h(x, s) of eqs. (3)-(12).
 
     Parameters
     ----------
-    state : (..., 4) or (..., 6) array
-        UE state; with six entries the speed is the fifth and `speed` is ignored.
+    where : Pose, or (..., n) array
+        Of the receiver (:meth:`~dopslam.models.motion.MotionModel.pose`). For short, an array `[x, y, heading, bias]` of
+        one that moves straight ahead at `speed`, or at its fifth entry where it has one.
     landmark : (..., 3) array
         Landmark positions [m], world frame; ignored for kind BS.
     kind : (...) int array
     bs : (3,) array
-    speed : float
-        Known speed v [m/s].
-    height : float
-        Known height of the UE's plane [m].
+    speed, height : float
+        v [m/s] and height of the receiver's plane [m]; for an array only, a pose has both.
 
     Returns
     -------
     (..., 6) array [m, rad, rad, rad, rad, m/s], azimuths in [-π, π).
     """
-    bs = np.asarray(bs, dtype=float)
-    state, landmark, kind, ue, speeds, forward = _broadcast(state, landmark, kind, bs, speed, height)
-    arrival = landmark - ue
-    distance = np.linalg.norm(arrival, axis=-1)
-    length = np.where(kind == SP, distance + np.linalg.norm(landmark - bs, axis=-1), distance)
+    pose, _ = _posed(where, speed, height)
+    arrival = paths.landmarks_of(bs, landmark, kind) - pose.position
+    path = paths.paths(pose.position, bs, landmark, kind)
     aoa_az, aoa_el = _angles(arrival)
-    aod_az, aod_el = _angles(_departure(ue, landmark, kind, bs))
-    doppler = speeds * _dot(forward, arrival) / distance
-    return np.stack(
-        [length + state[..., 3], wrap(aoa_az - state[..., 2]), aoa_el, wrap(aod_az), aod_el, doppler], axis=-1
-    )
+    aod_az, aod_el = _angles(path.departure)
+    doppler = _dot(pose.velocity, arrival) / np.linalg.norm(arrival, axis=-1)
+    rows = (path.length + pose.bias, wrap(aoa_az - pose.heading), aoa_el, wrap(aod_az), aod_el, doppler)
+    return np.stack(rows, axis=-1)
 
 
 def jacobians(
-    state: Array, landmark: Array, kind: ArrayLike, bs: Array, *, speed: float = 0.0, height: float = 0.0
+    where: Pose | ArrayLike,
+    landmark: ArrayLike,
+    kind: ArrayLike,
+    bs: ArrayLike,
+    *,
+    speed: float = 0.0,
+    height: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Jacobians A = ∂h/∂s (..., 6, n) and B = ∂h/∂x (..., 6, 3) of `measure` (same parameters)."""
-    bs = np.asarray(bs, dtype=float)
-    state, landmark, kind, ue, speeds, forward = _broadcast(state, landmark, kind, bs, speed, height)
-    arrival = landmark - ue
+    """Jacobians of `measure` (same parameters) by the pose (..., 6, 8), or by the state (..., 6, n) where that is given as
+    an array, and by the landmark (..., 6, 3)."""
+    pose, by_array = _posed(where, speed, height)
+    arrival = paths.landmarks_of(bs, landmark, kind) - pose.position
+    shape = np.broadcast_shapes(arrival.shape[:-1], np.shape(kind))
+    path, slope = (law(pose.position, bs, landmark, kind) for law in (paths.paths, paths.slopes))
     distance = np.linalg.norm(arrival, axis=-1)[..., None]
     q = arrival / distance
-    from_bs = landmark - bs
-    reach = np.linalg.norm(from_bs, axis=-1)[..., None]
-    p = from_bs / np.where(reach > 0, reach, 1.0)
-    is_bs, is_va, is_sp = ((kind == k)[..., None] for k in (BS, VA, SP))
+    velocity = np.broadcast_to(pose.velocity, q.shape)
+    turning = (velocity - _dot(velocity, q)[..., None] * q) / distance  # (25), and minus (24) with the right divisor
 
-    velocity = speeds[..., None] * forward
-    sideways = np.stack([-velocity[..., 1], velocity[..., 0], np.zeros_like(speeds)], axis=-1)
-    doppler = _dot(velocity, q)[..., None]
-    slope = (velocity - doppler * q) / distance  # (25), and minus (24) with the right divisor
-
-    departure = _departure(ue, landmark, kind, bs)
-    anchor = np.where(is_va, landmark, bs + 1.0)
-    a, w = bs - anchor, ue - anchor
-    _, t, projection = incidence(ue, anchor, bs)
-    t, projection = t[..., None], projection[..., None]
-
-    shape = kind.shape
-    by_state = np.zeros((*shape, 6, state.shape[-1]))
-    by_landmark = np.zeros((*shape, 6, 3))
-    by_state[..., 0, :2] = -q[..., :2]
-    by_state[..., 0, 3] = 1.0
-    by_landmark[..., 0, :] = q + np.where(is_sp, p, 0.0)
+    by_pose, by_landmark = np.zeros((*shape, 6, COLUMNS)), np.zeros((*shape, 6, 3))
+    by_pose[..., 0, POSITION], by_landmark[..., 0, :] = slope.length_by_p, slope.length_by_x
+    by_pose[..., 0, BIAS] = 1.0
     for row, gradient in zip((1, 2), _angle_gradients(arrival), strict=True):
-        by_state[..., row, :2] = -gradient[..., :2]
-        by_landmark[..., row, :] = gradient
-    by_state[..., 1, 2] = -1.0
-    for row, gradient in zip((3, 4), _angle_gradients(departure), strict=True):
-        along = _dot(gradient, w)[..., None]
-        moved_ue = t * gradient - (t / projection) * along * a
-        moved_va = (1 - t) * gradient + along * (-a / projection + (t / projection) * (a + w))
-        by_ue = np.where(is_bs, gradient, np.where(is_va, moved_ue, 0.0))
-        by_state[..., row, :2] = by_ue[..., :2]
-        by_landmark[..., row, :] = np.where(is_sp, gradient, np.where(is_va, moved_va, 0.0))
-    by_state[..., 5, :2] = -slope[..., :2]
-    by_state[..., 5, 2] = _dot(sideways, q)
-    if state.shape[-1] == 6:
-        by_state[..., 5, 4] = _dot(forward, q)
-    by_landmark[..., 5, :] = slope
-    by_landmark[is_bs[..., 0]] = 0.0
-    return by_state, by_landmark
+        by_pose[..., row, POSITION], by_landmark[..., row, :] = -gradient, gradient
+    by_pose[..., 1, HEADING] = -1.0
+    for row, gradient in zip((3, 4), _angle_gradients(path.departure), strict=True):
+        by_pose[..., row, POSITION] = np.einsum("...i,...ij->...j", gradient, slope.departure_by_p)
+        by_landmark[..., row, :] = np.einsum("...i,...ij->...j", gradient, slope.departure_by_x)
+    by_pose[..., 5, POSITION], by_pose[..., 5, VELOCITY], by_landmark[..., 5, :] = -turning, q, turning
+    by_landmark[paths.known(kind, shape)] = 0.0
+    return by_pose if by_array is None else by_pose @ by_array, by_landmark

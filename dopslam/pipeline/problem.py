@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from dopslam.config.belief import BeliefConfig
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
 from dopslam.models.detection import ConstantDetection
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import CoordinatedTurn, MotionModel, Told, motion_of
 from dopslam.models.scans import Scans
 from dopslam.records import BaseStations, DetectionSeries, Kind, Landmarks
 from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.records import TYPES, Assumptions
 from dopslam.slam.filter import Filter, Problem
 
+MOTION_KEYS = (
+    "speed_std", "turn_rate_std", "speed_walk", "turn_rate_walk", "position_walk", "heading_walk",
+)  # fmt: skip
 FREE_CLOCK = 1e5  # m per step: what stands for anything, and leaves a filter its digits
 
 
@@ -28,26 +30,23 @@ def true_motion(scenario: Scenario) -> CoordinatedTurn:
     return CoordinatedTurn(track.period, np.diag(np.square(track.process_std)), track.speed, track.turn_rate)
 
 
-def motion(scenario: Scenario) -> CoordinatedTurn:
-    """Coordinated turn, eq. (1), as the filter believes it.
+def motion(scenario: Scenario) -> MotionModel:
+    """How the receiver moves as the filter believes it: the motion model of ``filter.motion``.
 
-    Speed and turn rate are the scenario's and known, or with ``filter.motion = "unknown"`` in the state, where they
-    walk from step to step. With ``"walk"`` the receiver stands still but for large process noise: snapshots, people; its
-    heading says nothing about its course, and Doppler is left out. With ``filter.clock = "free"`` the clock bias is
-    anything at every step.
+    With ``filter.clock = "free"`` the clock bias is anything at every step.
     """
     true, config = true_motion(scenario), scenario.filter
     noise = np.array(true.process_noise)
     if config.clock == "free":
         noise[3, 3] = FREE_CLOCK**2
-    if config.motion == "walk":
-        stride = config.position_walk or max(true.speed * true.interval, float(np.sqrt(noise[0, 0])))
-        noise[[0, 1, 2], [0, 1, 2]] = np.square([stride, stride, config.heading_walk])
-        return CoordinatedTurn(true.interval, noise)
-    if config.motion == "known":
-        return replace(true, process_noise=noise)
-    walks = (config.speed_walk, config.turn_rate_walk)
-    return replace(true, process_noise=block_diag(noise, np.diag(np.square(walks))))
+    told = Told(
+        interval=true.interval,
+        pose_noise=noise,
+        speed=true.speed,
+        turn_rate=true.turn_rate,
+        **{name: getattr(config, name) for name in MOTION_KEYS},
+    )
+    return motion_of(config.motion, told, config.motion_options)
 
 
 def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
@@ -62,11 +61,7 @@ def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndar
 
 def prior(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
     """Mean (n,) and covariance (n, n) of what a filter knows at the start; n as in :func:`motion`."""
-    (mean, covariance), track, config = start(scenario, reading), scenario.track, scenario.filter
-    if config.motion != "unknown":
-        return mean, covariance
-    more = [config.speed_std, config.turn_rate_std]
-    return np.append(mean, [track.speed, track.turn_rate]), block_diag(covariance, np.diag(np.square(more)))
+    return motion(scenario).prior(*start(scenario, reading))
 
 
 def base_stations(scenario: Scenario) -> BaseStations:
@@ -160,7 +155,7 @@ def told(world: Situation, scenario: Scenario | None = None, doppler_limit: floa
     scenario : gives the intensities and the survival that filters assume; None: the defaults of :class:`Problem`
     doppler_limit : m/s; default the world's
     """
-    noise, config = world.noise, scenario.filter if scenario is not None else None
+    config = scenario.filter if scenario is not None else None
     assumed = {} if config is None else {
         "undetected": (config.intensity_va, config.intensity_sp),
         "births": (config.birth_va, config.birth_sp),
@@ -172,9 +167,7 @@ def told(world: Situation, scenario: Scenario | None = None, doppler_limit: floa
         covariance=world.prior_covariance,
         motion=world.motion,
         height=world.height,
-        detection=ConstantDetection(noise.detection_probability, noise.sp_range)
-        if isinstance(noise, FixedNoise)
-        else None,
+        detection=world.noise.detection,
         doppler_limit=world.doppler_limit if doppler_limit is None else doppler_limit,
         **assumed,
     )
@@ -202,10 +195,10 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
         raise ConfigError(
             f"filter.options.{unknown[0]}: the filter {name!r} has no such option; it has {', '.join(sorted(own)) or 'none'}"
         )
-    values = config.model_dump(exclude={"options"}) | {
+    values = config.model_dump(exclude={"options", "motion_options"}) | {
         "assumptions": assumptions(belief, "single_bounce"),
         "false_alarm_tail": 0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
-        "doppler": doppler and config.motion != "walk",
+        "doppler": doppler and motion(scenario).doppler,
     }
     return kind(**{key: value for key, value in (values | config.options).items() if key in own})
 

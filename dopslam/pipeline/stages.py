@@ -14,10 +14,11 @@ import numpy as np
 
 from dopslam.config.scenario import Scenario, parse
 from dopslam.evaluate import detections as matching
-from dopslam.evaluate.bounds import Bound, detection_mask, pcrb, true_states
+from dopslam.evaluate.bounds import Bound, detection_mask, pcrb
 from dopslam.evaluate.run import true_association
 from dopslam.models import unmeasured
 from dopslam.models.measurement import measure, seen_noise
+from dopslam.models.pose import Pose
 from dopslam.models.scans import CLUTTER
 from dopslam.pipeline import link as radio
 from dopslam.pipeline import preflight
@@ -304,7 +305,7 @@ def slam(
 
 def uses_doppler(scenario: Scenario, name: str) -> bool:
     """Whether a filter can use Doppler: without a velocity in its motion model nobody can."""
-    return build.chosen_filter(scenario, name).capabilities.doppler and scenario.filter.motion != "walk"
+    return build.chosen_filter(scenario, name).capabilities.doppler and build.motion(scenario).doppler
 
 
 def whole_run(scenario: Scenario, name: str) -> bool:
@@ -320,10 +321,8 @@ def landmark_of_detections(
         matches = match_series(scenario, track, paths, detections)
         return matching.true_landmarks(matches, paths, detections)
     count = len(landmarks)
-    exact = measure(
-        track.state[:, None], landmarks.position, landmarks.kind, np.array(scenario.base_station.position),
-        speed=scenario.track.speed, height=scenario.receiver.height,
-    )  # fmt: skip
+    pose = Pose(track.position[:, None], track.velocity[:, None], track.heading[:, None], track.bias[:, None])
+    exact = measure(pose, landmarks.position, landmarks.kind, np.array(scenario.base_station.position))
     return true_association(
         build.scans(scenario, detections),
         exact.reshape(-1, 6),
@@ -362,7 +361,7 @@ def bound(
     covariance[step[real], label[real]] = seen_noise(scans.covariance[real], kind[label[real]])
     problem = problem or build.problem(scenario)
     return pcrb(
-        *true_states(track, problem.motion),
+        *problem.motion.truth(track),
         problem.covariance,
         problem.motion,
         landmarks.position,

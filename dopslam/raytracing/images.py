@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dopslam.models.paths import mirror
 from dopslam.records import SPEED_OF_LIGHT
 
 
@@ -46,13 +47,6 @@ class PathGeometry:
         still.
         """
         return np.sum(np.asarray(velocity, dtype=float) * self.arrival, axis=-1)
-
-
-def mirror(points: np.ndarray, normal: np.ndarray, offset: np.ndarray | float) -> np.ndarray:
-    """Reflect points (…, 3) at planes with unit ``normal`` (…, 3) and ``offset`` (…) [m]: x + 2(d − nᵀx)n."""
-    points, normal = np.asarray(points, dtype=float), np.asarray(normal, dtype=float)
-    distance = np.asarray(offset, dtype=float) - np.sum(points * normal, axis=-1)
-    return points + 2.0 * distance[..., None] * normal
 
 
 def mirror_images(source: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dopslam.evaluate.walls import Walls, plane_of, walls
-from dopslam.models.measurement import incidence
+from dopslam.models.paths import incidence
 from dopslam.records import FloorPlan, Kind, Landmarks, Paths, Track
 from dopslam.slam.history import History
 

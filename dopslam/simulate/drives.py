@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.models.detection import spreading_loss
 from dopslam.models.measurement import BS, SP, VA
+from dopslam.models.paths import spreading_loss
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.models import unmeasured
-from dopslam.models.measurement import BS, SP, VA, incidence, measure, wrap
+from dopslam.models.measurement import BS, SP, VA, measure, wrap
+from dopslam.models.paths import incidence, mirror
 from dopslam.records import SPEED_OF_LIGHT, BaseStations, DetectionSeries, Landmarks, Track, edges_of
 
 Array = NDArray[np.float64]
@@ -100,9 +101,8 @@ def _walk(rng: np.random.Generator, size: Array, pillars: Array, radius: Array, 
 
 def _mirrored(point: Array, wall: int, size: Array) -> Array:
     """A point's image at wall 0 … 3: x = 0, x = width, y = 0, y = depth."""
-    image, axis = point.copy(), wall // 2
-    image[..., axis] = 2 * (size[axis] if wall % 2 else 0.0) - image[..., axis]
-    return image
+    axis = wall // 2
+    return mirror(point, np.eye(3)[axis], size[axis] if wall % 2 else 0.0)
 
 
 def _landmarks(rng: np.random.Generator, size: Array, station: Array, pillars: Array) -> Landmarks:
@@ -152,7 +152,7 @@ def _visible(rng, state: Array, landmarks: Landmarks, station: Array, size: Arra
             near = np.linalg.norm(target[:2] - here[:, :2], axis=1)
             seen[:, i] &= near * np.linalg.norm(target - station) < rng.uniform(20, 90)
         elif landmarks.order[i] == 1:
-            turn, fraction, _ = incidence(here, np.broadcast_to(target, here.shape), station)
+            turn, fraction = incidence(here, np.broadcast_to(target, here.shape), station)
             seen[:, i] &= (
                 (fraction > 0) & (fraction < 1) & np.all((turn[:, :2] > -1e-6) & (turn[:, :2] < size + 1e-6), axis=1)
             )

@@ -2,8 +2,7 @@
 tracing.
 
 `Situation` is the world as it is; what a filter knows is given to it separately, so that mismatch can be
-studied. Two kinds of noise: the paper's fixed R with a range limit for scatter points, and noise that
-follows a link budget (R falls with ρ, p_D follows ρ), as ray-traced detections have it.
+studied. Its noise is one of the kinds of :mod:`dopslam.simulate.noise`.
 """
 
 from __future__ import annotations
@@ -14,39 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
-from dopslam.models.detection import probability_from_snr, spreading_loss
-from dopslam.models.measurement import BS, SP, VA, incidence, measure, positions, wrap
-from dopslam.models.motion import CoordinatedTurn, propagate
+from dopslam.models.measurement import BS, SP, VA, measure, wrap
+from dopslam.models.motion import CoordinatedTurn, MotionModel, propagate, unknown
+from dopslam.models.paths import paths
+from dopslam.models.pose import positions
 from dopslam.models.scans import CLUTTER, Scans
+from dopslam.simulate.noise import AmplitudeNoise, FixedNoise, Noise, SnrNoise, Told
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class FixedNoise:
-    """R and p_D the same for all: standard deviations (6,) [m, rad ×4, m/s], SPs seen within `sp_range`
-    [m].
-    """
-
-    std: Array
-    detection_probability: float = 0.9
-    sp_range: float | None = 50.0
-
-
-@dataclass(frozen=True, slots=True)
-class SnrNoise:
-    """R = diag(unit_std²)/ρ and p_D(ρ), ρ = reference/spreading loss.
-
-    Attributes
-    ----------
-    unit_std : (6,) array; standard deviations at ρ = 1
-    reference_db : (L,) array; ρ times spreading loss of each landmark [dB]
-    threshold : float; detection threshold on ρ, linear
-    """
-
-    unit_std: Array
-    reference_db: Array
-    threshold: float = 14.0
+__all__ = ["AmplitudeNoise", "FixedNoise", "Situation", "SnrNoise"]  # what a world is made of
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +34,10 @@ class Situation:
     bs : (3,) array [m]
     kind : (L,) int array; entry 0 is the BS
     position : (L, 3) array [m]
-    motion : CoordinatedTurn; of the true track
+    motion : MotionModel; of the true track
     prior_mean, prior_covariance : (n,), (n, n); the start is drawn from it
     steps : int
-    noise : FixedNoise or SnrNoise
+    noise : Noise; fixed, by link budget or by amplitude
     clutter_count : float; expected false detections per scan
     clutter_range : float; clutter path lengths lie in [bias, bias + clutter_range] [m]
     doppler_limit : float; clutter Dopplers lie within ± this [m/s]
@@ -71,11 +47,11 @@ class Situation:
     bs: Array
     kind: NDArray[np.int64]
     position: Array
-    motion: CoordinatedTurn
+    motion: MotionModel
     prior_mean: Array
     prior_covariance: Array
     steps: int
-    noise: FixedNoise | SnrNoise
+    noise: Noise
     clutter_count: float = 1.0
     clutter_range: float = 300.0
     doppler_limit: float = 22.22
@@ -121,17 +97,12 @@ def unknown_motion(
     rate_walk: float = 0.002,
 ) -> Situation:
     """The same world with speed and turn rate unknown and walking (per step): a six-state UE."""
-    motion = situation.motion
-    noise, prior = np.zeros((6, 6)), np.zeros((6, 6))
-    noise[:4, :4], prior[:4, :4] = motion.process_noise, situation.prior_covariance
-    noise[4, 4], noise[5, 5] = speed_walk**2, rate_walk**2
-    prior[4, 4], prior[5, 5] = speed_std**2, rate_std**2
-    return replace(
-        situation,
-        motion=CoordinatedTurn(motion.interval, noise, motion.speed, motion.turn_rate),
-        prior_mean=np.concatenate([situation.prior_mean, [motion.speed, motion.turn_rate]]),
-        prior_covariance=prior,
+    known = situation.motion
+    motion = unknown(
+        known.interval, known.process_noise, known.speed, known.turn_rate, speed_std, rate_std, speed_walk, rate_walk
     )
+    mean, covariance = motion.prior(situation.prior_mean, situation.prior_covariance)
+    return replace(situation, motion=motion, prior_mean=mean, prior_covariance=covariance)
 
 
 def generators(seed: int, run: int, scenario: int = 0) -> tuple[np.random.Generator, ...]:
@@ -171,31 +142,14 @@ def _root(covariance: Array) -> Array:
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
-def noise_of(situation: Situation, states: Array) -> tuple[Array, Array, Array | None]:
+def noise_of(situation: Situation, states: Array) -> Told:
     """Measurement covariance (K, L, 6, 6), detection probability (K, L) and ρ (K, L) or None along a
     track.
     """
-    noise = situation.noise
     ue = positions(states, situation.height)[:, None]
-    count = (len(states), len(situation.kind))
-    if isinstance(noise, FixedNoise):
-        covariance = np.broadcast_to(np.diag(noise.std**2), (*count, 6, 6))
-        probability = np.full(count, noise.detection_probability)
-        if noise.sp_range is not None:
-            distance = np.linalg.norm(situation.position - ue, axis=-1)
-            probability = np.where((situation.kind == SP) & (distance > noise.sp_range), 0.0, probability)
-        snr = None
-    else:
-        loss = spreading_loss(situation.kind, situation.position, ue, situation.bs)
-        snr = 10 ** (noise.reference_db / 10) / loss
-        covariance = np.diag(noise.unit_std**2) / np.maximum(snr, 1e-3)[..., None, None]
-        probability = probability_from_snr(snr, noise.threshold)
-    # A virtual anchor whose wall does not lie between it and the UE reflects nothing.
-    _, t, _ = incidence(
-        ue, np.where((situation.kind == VA)[:, None], situation.position, situation.bs + 1), situation.bs
-    )
-    blocked = (situation.kind == VA) & ((t <= 0) | (t >= 1))
-    return covariance, np.where(blocked, 0.0, probability), snr
+    told = situation.noise.of(ue, situation.bs, situation.position, situation.kind)
+    exists = paths(ue, situation.bs, situation.position, situation.kind).exists
+    return told._replace(probability=np.where(exists, told.probability, 0.0))
 
 
 def draw_scans(
@@ -204,26 +158,19 @@ def draw_scans(
     """Detections along a track, with misses and clutter, in random order within each scan; labels tell the
     truth.
     """
-    covariance, probability, snr = noise_of(situation, states)
-    steps, count = probability.shape
-    exact = measure(
-        states[:, None],
-        situation.position,
-        situation.kind,
-        situation.bs,
-        speed=situation.motion.speed,
-        height=situation.height,
-    )
+    told = noise_of(situation, states)
+    steps, count = told.probability.shape
+    pose = situation.motion.pose(states[:, None], situation.height)
+    exact = measure(pose, situation.position, situation.kind, situation.bs)
     errors = rng.standard_normal((steps, count, 6))
-    detected = rng.random((steps, count)) < probability
-    z = exact + np.einsum("klij,klj->kli", np.linalg.cholesky(covariance), errors)
+    covariance, detected, snr = situation.noise.detect(rng, told)
+    z = exact + np.einsum("klij,klj->kli", np.linalg.cholesky(told.covariance), errors)
     false_counts = clutter_rng.poisson(situation.clutter_count, steps)
     columns: list[tuple[NDArray, ...]] = []
     for k in range(steps):
-        seen = np.flatnonzero(detected[k])
-        false_z, false_covariance, false_snr = _draw_clutter(
-            situation, states[k], int(false_counts[k]), clutter_rng, covariance[k]
-        )
+        seen, false = np.flatnonzero(detected[k]), int(false_counts[k])
+        false_z = _draw_clutter(situation, states[k], false, clutter_rng)
+        false_covariance, false_snr = situation.noise.false(clutter_rng, false, covariance[k, 0])
         order = clutter_rng.permutation(len(seen) + len(false_z))
         labels = np.concatenate([seen, np.full(len(false_z), CLUTTER)])[order]
         scan_snr = np.concatenate([snr[k, seen] if snr is not None else np.ones(len(seen)), false_snr])[order]
@@ -247,7 +194,7 @@ def draw_scans(
         search_volume=situation.clutter_range * (2 * np.pi * np.pi) ** 2 * span,
         doppler_span=span,
         snr=None if snr is None else flat[3],
-        threshold=None if isinstance(situation.noise, FixedNoise) else situation.noise.threshold,
+        threshold=situation.noise.threshold,
         label=flat[2].astype(np.int64),
     )
 
@@ -263,16 +210,11 @@ def _direction(angles: Array) -> Array:
     ])  # fmt: skip
 
 
-def _draw_clutter(situation: Situation, state: Array, count: int, rng: np.random.Generator, covariance: Array):
-    """False detections uniform over the search volume, with a covariance borrowed from the noise model."""
+def _draw_clutter(situation: Situation, state: Array, count: int, rng: np.random.Generator) -> Array:
+    """False detections (count, 6) uniform over the search volume."""
     low = np.array([state[3], -np.pi, -np.pi / 2, -np.pi, -np.pi / 2, -situation.doppler_limit])
     high = np.array([state[3] + situation.clutter_range, np.pi, np.pi / 2, np.pi, np.pi / 2, situation.doppler_limit])
-    z = rng.uniform(low, high, (count, 6))
-    noise = situation.noise
-    if isinstance(noise, FixedNoise):
-        return z, np.broadcast_to(covariance[0], (count, 6, 6)), np.ones(count)
-    snr = noise.threshold * (1.0 + rng.exponential(1 / noise.threshold, count))  # just above the threshold
-    return z, np.diag(noise.unit_std**2) / snr[:, None, None], snr
+    return rng.uniform(low, high, (count, 6))
 
 
 def simulate(situation: Situation, seed: int, run: int, scenario: int = 0) -> tuple[Array, Scans]:

@@ -23,7 +23,7 @@ import numpy as np
 from dopslam.errors import FilterError
 from dopslam.models import ambiguity
 from dopslam.models.detection import DetectionModel, SnrDetection
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import CoordinatedTurn, MotionModel
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
@@ -40,8 +40,8 @@ class Problem:
     ----------
     stations : BaseStations; known positions and orientations
     mean, covariance : (n,), (n, n); the receiver's state one period before the first scan, [x m, y m, heading rad,
-        bias m(, speed m/s, turn rate rad/s)]
-    motion : CoordinatedTurn; eq. (1), its n says whether speed and turn rate are known or in the state
+        bias m, …], what follows as the motion model names it
+    motion : MotionModel; how the receiver moves, eq. (1) or any other
     height : m, of the receiver's plane
     detection : DetectionModel or None; None: p_D follows ρ, with the threshold of the detections
     undetected : (VA, SP); initial intensity of undetected landmarks [m⁻³]
@@ -56,7 +56,7 @@ class Problem:
     stations: BaseStations
     mean: np.ndarray
     covariance: np.ndarray
-    motion: CoordinatedTurn
+    motion: MotionModel
     height: float = 0.0
     detection: DetectionModel | None = None
     undetected: tuple[float, float] = (1e-7, 4e-6)
@@ -120,7 +120,8 @@ class Capabilities:
     Attributes
     ----------
     doppler : whether it reads the Doppler row
-    states : numbers of receiver states that it can carry: 4, and 6 with speed and turn rate unknown
+    states : numbers of states of a coordinated turn that it can carry: 4, and 6 with speed and turn rate unknown
+    any_motion : whether it carries every motion model there may be, not only coordinated turns
     stations : most base stations
     whole_run : whether every step's estimate uses the scans of the whole run, so that the smoothing bound is its own;
         such a filter finds its start from the scans by itself where the problem withholds it
@@ -129,6 +130,7 @@ class Capabilities:
 
     doppler: bool = True
     states: tuple[int, ...] = (4,)
+    any_motion: bool = False
     stations: int = 1
     whole_run: bool = False
     intervals: bool = False
@@ -230,7 +232,12 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
             "an uncertain orientation of the base station (base_station.yaw_std_deg) counts where nothing is told of the "
             'start: set filter.start = "snapshot", or leave it out'
         )
-    if problem.motion.dimension not in able.states:
+    if not isinstance(problem.motion, CoordinatedTurn) and not able.any_motion:
+        raise FilterError(
+            f"{name} carries coordinated turns only, the motion model is {type(problem.motion).__name__}; choose joint or "
+            'marginal, or set filter.motion = "known", "unknown" or "walk"'
+        )
+    if problem.motion.dimension not in able.states and not able.any_motion:
         raise FilterError(
             f"{name} carries {' or '.join(map(str, able.states))} states, the motion model has {problem.motion.dimension}; "
             'set filter.motion = "known" or choose another filter'

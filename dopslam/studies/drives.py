@@ -14,7 +14,7 @@ import numpy as np
 
 from dopslam.config.scenario import parse
 from dopslam.errors import DopslamError
-from dopslam.evaluate.bounds import detection_mask, situation_bound, true_states
+from dopslam.evaluate.bounds import detection_mask, situation_bound
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.pipeline import stages
 from dopslam.pipeline.problem import chosen_filter, problem
@@ -41,7 +41,7 @@ def judged(kind: str, seed: int, name: str = "joint", settings=()) -> dict:
         scenario = parse(_text(file, where[0]), settings)
         track = stages.draw_track(scenario, seed)
     told = problem(scenario)
-    states, _ = true_states(track, told.motion)
+    states, _ = told.motion.truth(track)
     mean = told.mean + np.sqrt(np.diag(told.covariance)) * rng.standard_normal(len(told.mean))
     noise = SnrNoise(UNIT_STD * rng.uniform(0.5, 2.0), strength)
     world = Situation(

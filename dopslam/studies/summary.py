@@ -18,8 +18,8 @@ from dopslam.studies.montecarlo import Study
 
 
 def world(scenario: Scenario, prior: str, doppler_std: float | None) -> Situation:
-    """The model source of a scenario; with `filter.motion = "unknown"` speed and turn rate are in the
-    state.
+    """The model source of a scenario; speed and turn rate are in the state if they are in the
+    filter's.
     """
     if not scenario.source.model.virtual_anchors and not scenario.scatter_point:
         raise ConfigError(
@@ -29,7 +29,7 @@ def world(scenario: Scenario, prior: str, doppler_std: float | None) -> Situatio
     noise = situation.noise
     if doppler_std is not None and isinstance(noise, FixedNoise):
         situation = replace(situation, noise=replace(noise, std=np.array([*noise.std[:5], doppler_std])))
-    if scenario.filter.motion == "unknown":
+    if build.motion(scenario).dimension > situation.motion.dimension:
         f = scenario.filter
         situation = unknown_motion(situation, f.speed_std, f.turn_rate_std, f.speed_walk, f.turn_rate_walk)
     return situation

@@ -12,8 +12,8 @@ from dopslam.models.detection import (
     detection_table,
     probability_from_snr,
     soft_range,
-    spreading_loss,
 )
+from dopslam.models.paths import spreading_loss
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
 from dopslam.slam.pmb.density import look_up

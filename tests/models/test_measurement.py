@@ -9,14 +9,14 @@ from dopslam.models.measurement import (
     SP,
     SR,
     VA,
-    incidence,
     jacobians,
     measure,
-    positions,
     residual,
     seen_noise,
     wrap,
 )
+from dopslam.models.paths import incidence
+from dopslam.models.pose import positions
 
 BS_POSITION = np.array([0.0, 0.0, 40.0])
 SPEED = 22.22
@@ -88,7 +88,7 @@ def test_every_virtual_anchor_has_a_scatter_twin():
     state, landmark, kind = draw(np.random.default_rng(4), 300)
     va = landmark[kind == VA]
     state = state[kind == VA]
-    point, t, _ = incidence(positions(state), va, BS_POSITION)
+    point, t = incidence(positions(state), va, BS_POSITION)
     path = (t > 0) & (t < 1)
     assert path.sum() > 50
     as_va = measure(state[path], va[path], VA, BS_POSITION, speed=SPEED)

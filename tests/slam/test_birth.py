@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dopslam.models.measurement import SP, VA, incidence, jacobians, measure, positions, residual
+from dopslam.models.measurement import SP, VA, jacobians, measure, residual
+from dopslam.models.paths import incidence
+from dopslam.models.pose import positions
 from dopslam.simulate.world import nominal_track
 from dopslam.slam.pmb.birth import fit_landmark, starting_point, undetected_intensity, visible_share
 from dopslam.slam.pmb.density import FilterParameters, Scan, compile_model, initial_density
@@ -70,7 +72,7 @@ def test_ratio_of_the_two_types_at_birth(world):
     site = (*world.bs, 0.0, world.motion.speed)
     for state, va in zip(nominal_track(world)[[2, 15]], world.landmarks(VA)[:2], strict=True):
         ue = positions(state)
-        sp, _, _ = incidence(ue, va, world.bs)
+        sp, _ = incidence(ue, va, world.bs)
         z = measure(state, va, VA, world.bs, speed=world.motion.speed)
         noise = 1e-4 * np.diag(STD**2)
         volumes = [fit(z, noise, state, 1e-14 * np.eye(4), kind, site, x)[2] for kind, x in ((VA, va), (SP, sp))]

@@ -6,9 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from dopslam.compute.linalg import factorize
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.detection import ConstantDetection
-from dopslam.models.kernels import factorize
 from dopslam.models.measurement import BS, SR, VA, measure
 from dopslam.models.scans import from_detections
 from dopslam.records import DetectionSeries

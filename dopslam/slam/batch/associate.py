@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from dopslam.models.measurement import positions, wrap
+from dopslam.models.measurement import wrap
+from dopslam.models.pose import positions
 from dopslam.slam.batch.landmarks import Belief, explain
 from dopslam.slam.batch.rows import Map, Rows, predict
 

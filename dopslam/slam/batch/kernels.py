@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import SR, cholesky, linearize, solve_lower, subtract
+from dopslam.compute.linalg import cholesky, solve_lower
+from dopslam.models.kernels import SR, linearize, subtract
 
 ROWS = 6
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dopslam.models import unmeasured
-from dopslam.models.measurement import SP, SR, VA, measure, positions
+from dopslam.models import paths, unmeasured
+from dopslam.models.measurement import SP, SR, VA, directions, measure
+from dopslam.models.pose import positions
 from dopslam.models.scans import Scans
 from dopslam.slam.batch.kernels import linearize_rows
-from dopslam.slam.snapshot.rays import directions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -195,25 +195,18 @@ def whitened(covariance: Array, *columns: Array) -> tuple[Array, ...]:
 def place(data: Rows, rows: Index, state: Array, kind: Index) -> tuple[Array, NDArray[np.bool_]]:
     """Landmarks (M, 3) that single detections stand for, and whether they can exist.
 
-    A virtual anchor lies along the arrival as far as the path is long; a scatter point where the arrival and the
-    departure each find it, in the middle.
+    In the plane where no elevation was measured.
     """
     z, bs = data.z[rows], data.stations[data.station[rows]]
-    ue = positions(state, data.height)
-    flat = ~data.used[rows, 2]
-    arrival = directions(z[:, 1] + state[:, 2], np.where(flat, 0.0, z[:, 2]))[0]
-    departure = directions(z[:, 3], np.where(flat, 0.0, z[:, 4]))[0]
-    length, w = z[:, 0] - state[:, 3], bs - ue
-    drop = np.where(flat, w[:, 2], 0.0)  # of which azimuths know nothing
-    w[flat, 2] = 0.0
+    ue, used = positions(state, data.height), data.used[rows]
+    flat = ~used[:, 2]
+    level = bs.copy()
+    level[flat, 2] = ue[flat, 2]
+    arrival = directions(z[:, 1] + state[:, 2], np.where(flat, 0.0, z[:, 2]))
+    departure = np.where(used[:, 3:4], directions(z[:, 3], np.where(flat, 0.0, z[:, 4])), 0.0)
+    length, direct = z[:, 0] - state[:, 3], np.linalg.norm(level - ue, axis=1)
+    drop = bs[:, 2] - level[:, 2]  # of which azimuths know nothing
     length = np.where(length > 0, np.sqrt(np.maximum(length**2 - drop**2, 0.0)), length)
-    direct = np.linalg.norm(w, axis=1)
-    square = length**2 - direct**2
-    near = 0.5 * square / np.maximum(length - np.sum(w * arrival, axis=1), 1e-9)
-    far = 0.5 * square / np.maximum(length + np.sum(w * departure, axis=1), 1e-9)
-    first, second = ue + near[:, None] * arrival, bs + far[:, None] * departure
-    point = np.where(data.used[rows, 3:4], 0.5 * (first + second), first)
-    anchor = ue + length[:, None] * arrival
-    found = np.where((kind == SP)[:, None], point, anchor)
+    found = paths.place(ue, level, length, arrival, departure, kind)
     found[flat, 2] = np.where(kind[flat] == SP, data.height, bs[flat, 2])
     return found, (length > direct * (1 - 1e-6)) & (length > 0)

@@ -1,12 +1,9 @@
 """Path lengths and directions of the likelihood forms, with gradients; broadcasts over particles and
 features.
 
-p receiver, q feature, p_a anchor (all (..., 3), m), e = (q − p)/‖q − p‖ arrival, n = (q − p_a)/‖q − p_a‖:
-
-* LOS     length ‖p_a − p‖, departure −e (q = p_a);
-* VA      length ‖q − p‖;
-* VA_AOD  the same, departure t = −e + 2(eᵀn)n, the arrival mirrored at the wall with normal n;
-* PS      length ‖q − p‖ + ‖q − p_a‖, departure n.
+p receiver, q feature, p_a anchor (all (..., 3), m). A form is the path of a kind of landmark
+(:data:`dopslam.models.paths.PATHS`): LOS of the base station, VA and VA_AOD of a reflecting surface, PS of a scatter point;
+they differ in what they are compared with.
 
 Directions are compared by chords: for a measured z and a predicted e the residual is T(e)z·√(2/(1 + zᵀe)),
 whose norm is the chord ‖z − e‖, with T the orthonormal azimuth (and elevation) tangents at e; no wrapping, no
@@ -17,6 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dopslam.models.measurement import directions
+from dopslam.models.paths import PATHS
+from dopslam.records import Kind
 from dopslam.slam.belief.records import Form
 
 _TINY = 1e-12
@@ -27,15 +27,14 @@ def _unit(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vector / norm, norm
 
 
+_LAWS = {Form.LOS: Kind.BS, Form.VA: Kind.VA, Form.PS: Kind.SP, Form.VA_AOD: Kind.VA}
+
+
 def predict(form: Form, p: np.ndarray, q: np.ndarray, anchor: np.ndarray):
     """Length (...,) [m], arrival (..., 3) and departure (..., 3), unit vectors in the world frame."""
-    e, r = _unit(q - p)
-    if form == Form.LOS:
-        return r[..., 0], e, -e
-    n, reach = _unit(q - anchor)
-    if form == Form.PS:
-        return (r + reach)[..., 0], e, n + 0 * e
-    return r[..., 0], e, -e + 2 * np.sum(e * n, axis=-1, keepdims=True) * n
+    p, q, anchor = np.broadcast_arrays(p, q, anchor)
+    path = PATHS[_LAWS[form]].path(p, anchor, q)
+    return path.length, _unit(q - p)[0], _unit(path.departure)[0]
 
 
 def gradients(form: Form, p: np.ndarray, q: np.ndarray, anchor: np.ndarray):
@@ -46,26 +45,20 @@ def gradients(form: Form, p: np.ndarray, q: np.ndarray, anchor: np.ndarray):
     by_q, by_p : (..., 7, 3) rows length, arrival x y z, departure x y z; for LOS the feature is fixed and
         by_q is 0
     """
-    e, r = _unit(q - p)
-    n, reach = _unit(q - anchor)
-    eye = np.eye(3)
-    de = (eye - e[..., :, None] * e[..., None, :]) / r[..., None]
-    dn = (eye - n[..., :, None] * n[..., None, :]) / reach[..., None]
-    zero = np.zeros(np.broadcast_shapes(de.shape, dn.shape))
-    length_q, departure_q, departure_p = e, zero, zero
-    if form == Form.LOS:
-        departure_p = de
-    elif form == Form.PS:
-        length_q, departure_q = e + n, zero + dn
-    else:
-        en = np.sum(e * n, axis=-1)[..., None, None]
-        mirror = -eye + 2 * n[..., :, None] * n[..., None, :]  # ∂t/∂e
-        turn = 2 * (n[..., :, None] * e[..., None, :] + en * eye)  # ∂t/∂n
-        departure_q = mirror @ de + turn @ dn
-        departure_p = -mirror @ de
-    by_q = np.concatenate([(zero[..., 0, :] + length_q)[..., None, :], zero + de, departure_q], axis=-2)
-    by_p = np.concatenate([(zero[..., 0, :] - e)[..., None, :], zero - de, departure_p], axis=-2)
-    return (np.zeros_like(by_q) if form == Form.LOS else by_q), by_p
+    p, q, anchor = np.broadcast_arrays(p, q, anchor)
+    law = PATHS[_LAWS[form]]
+    slopes, arriving = law.slopes(p, anchor, q), _turn(q - p)
+    leaving = _turn(law.path(p, anchor, q).departure)
+    by_q = [slopes.length_by_x[..., None, :], arriving, leaving @ slopes.departure_by_x]
+    by_p = [slopes.length_by_p[..., None, :], -arriving, leaving @ slopes.departure_by_p]
+    rows = np.concatenate(by_q, axis=-2), np.concatenate(by_p, axis=-2)
+    return (np.zeros_like(rows[0]) if law.known else rows[0]), rows[1]
+
+
+def _turn(vector: np.ndarray) -> np.ndarray:
+    """Derivative (..., 3, 3) of the unit vector of a vector."""
+    unit, norm = _unit(vector)
+    return (np.eye(3) - unit[..., :, None] * unit[..., None, :]) / norm[..., None]
 
 
 def tangents(direction: np.ndarray, count: int) -> np.ndarray:
@@ -103,7 +96,4 @@ def turned(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def unit_vector(azimuth: np.ndarray, elevation: np.ndarray | float = 0.0) -> np.ndarray:
     """(..., 3) unit vector of azimuth and elevation [rad]."""
-    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
-    return np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    )
+    return directions(azimuth, elevation)

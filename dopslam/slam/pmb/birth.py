@@ -14,7 +14,8 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import SP, VA, cholesky, linearize, noise_entry, solve_lower, subtract
+from dopslam.compute.linalg import cholesky, solve_lower
+from dopslam.models.kernels import SP, VA, linearize, log_spreading, noise_entry, starting_point, subtract
 from dopslam.slam.pmb.density import BIRTHS, look_up
 
 MAX_STEPS = 8
@@ -22,52 +23,6 @@ OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no r
 TWIN = 5.0  # an SP is hardly more than e^5 times as likely as its VA twin, equal intensities given (both fit alike)
 CONVERGED = 1e-2  # remaining decrease of χ² below which Gauss-Newton stops
 REDUNDANT_LIMIT = 50.0  # χ²_min above which a measurement is no single-bounce path
-
-
-@compiled
-def log_spreading(kind, landmark, state, site):
-    """Log of the geometric spreading loss: d² for BS and VA, d₁²·d₂² for SP."""
-    if kind == 0:
-        near = (site[0] - state[0]) ** 2 + (site[1] - state[1]) ** 2 + (site[2] - site[3]) ** 2
-        return math.log(near)
-    near = (landmark[0] - state[0]) ** 2 + (landmark[1] - state[1]) ** 2 + (landmark[2] - site[3]) ** 2
-    loss = math.log(max(near, 1e-6))
-    if kind == SP:
-        far = (landmark[0] - site[0]) ** 2 + (landmark[1] - site[1]) ** 2 + (landmark[2] - site[2]) ** 2
-        loss += math.log(max(far, 1e-6))
-    return loss
-
-
-@compiled
-def starting_point(z, state, kind, site, x):
-    """Closed-form landmark position of one measurement into `x`; False if its path is shorter than the
-    direct one.
-
-    VA, SR: x_U + D q. SP: on the ray of arrival and on the ray of departure, each where the path length fits;
-    their mean.
-    """
-    length = z[0] - state[3]
-    wx, wy, wz = site[0] - state[0], site[1] - state[1], site[2] - site[3]
-    direct2 = wx * wx + wy * wy + wz * wz
-    if not length * length > direct2 or length <= 0.0:
-        return False
-    azimuth = z[1] + state[2]
-    flat = math.cos(z[2])
-    qx, qy, qz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(z[2])
-    if kind != SP:
-        x[0] = state[0] + length * qx
-        x[1] = state[1] + length * qy
-        x[2] = site[3] + length * qz
-        return True
-    flat = math.cos(z[4])
-    px, py, pz = flat * math.cos(z[3]), flat * math.sin(z[3]), math.sin(z[4])
-    excess = length * length - direct2
-    arrival = 0.5 * excess / (length - (wx * qx + wy * qy + wz * qz))
-    departure = 0.5 * excess / (length + (wx * px + wy * py + wz * pz))
-    x[0] = 0.5 * (state[0] + arrival * qx + site[0] + departure * px)
-    x[1] = 0.5 * (state[1] + arrival * qy + site[1] + departure * py)
-    x[2] = 0.5 * (site[3] + arrival * qz + site[2] + departure * pz)
-    return True
 
 
 @compiled

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import SP, SR
+from dopslam.models.kernels import SP, SR, moving
 from dopslam.slam.pmb.density import start_of
 
 
@@ -39,11 +39,11 @@ def add_curvature(density, n, block, spread, model, noise):
     noise[1, 1] += 0.5 * arrival[0]
     noise[2, 2] += 0.5 * arrival[1]
     if m == 6:
-        speed = site[4] if n == 4 else abs(state[4])
+        speed, doubt = own_speed(state, density.covariance, n, site)
         turn = math.sqrt(arrival[0]) + density.covariance[2, 2]
         noise[5, 5] += 0.5 * (speed * turn) ** 2
-        if n == 6:
-            noise[5, 5] += density.covariance[4, 4] * turn
+        if doubt > 0.0:
+            noise[5, 5] += doubt * turn
     kind = density.kind[block]
     if kind == SR:
         return
@@ -52,6 +52,21 @@ def add_curvature(density, n, block, spread, model, noise):
         noise[0, 0] += 0.5 * arrival[2]
     noise[3, 3] += 0.5 * arrival[0]
     noise[4, 4] += 0.5 * arrival[1]
+
+
+@compiled
+def own_speed(state, covariance, n, site):
+    """Speed of the receiver and its variance, under any motion model."""
+    if len(site) == 5:
+        if n == 4:
+            return site[4], 0.0
+        return abs(state[4]), covariance[4, 4]
+    vx, vy, vz = moving(state[:n], site)
+    speed, variance = math.sqrt(vx * vx + vy * vy + vz * vz), 0.0
+    for i in range(n):
+        along = (site[5][0, i] * vx + site[5][1, i] * vy + site[5][2, i] * vz) / max(speed, 1e-6)
+        variance += along * along * covariance[i, i]
+    return speed, variance
 
 
 @compiled

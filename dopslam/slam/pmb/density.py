@@ -10,7 +10,7 @@ without state.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ from dopslam.models.detection import (
     SnrDetection,
     detection_table,
 )
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import CoordinatedTurn, MotionModel
+from dopslam.models.pose import POSE, VELOCITY
 
 Array = NDArray[np.float64]
 
@@ -93,10 +94,12 @@ class Scan(NamedTuple):
 class Model(NamedTuple):
     """`FilterParameters` and motion in the form compiled code reads; made by `compile_model`."""
 
-    site: tuple[float, float, float, float, float]
+    site: tuple[Any, ...]
     interval: float
     turn_rate: float
     process_noise: Array
+    moved: Array
+    transition: Array
     joint: bool
     iterations: int
     cubature: bool
@@ -233,13 +236,13 @@ class FilterParameters:
             raise FilterError(f"FilterParameters: hide ({self.hide}) and reappear ({self.reappear}) are probabilities")
 
 
-def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Array, height: float = 0.0) -> Model:
+def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, height: float = 0.0) -> Model:
     """The parameters as compiled code reads them.
 
     Parameters
     ----------
     parameters : FilterParameters
-    motion : CoordinatedTurn
+    motion : MotionModel; one that is no coordinated turn is added step by step, by :func:`predicted`
     bs : (3,) array, position of the base station [m]
     height : float, height of the UE's plane [m]
     """
@@ -249,12 +252,15 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
     intensity[: len(parameters.intensity)] = parameters.intensity
     if not parameters.joint:
         intensity[2:] = 0.0
+    turn = motion if isinstance(motion, CoordinatedTurn) else None
     limit = detection.sp_range if isinstance(detection, ConstantDetection) else None
     return Model(
-        site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(motion.speed)),
+        site=(float(bs[0]), float(bs[1]), float(bs[2]), float(height), float(turn.speed) if turn else 0.0),
         interval=float(motion.interval),
-        turn_rate=float(motion.turn_rate),
+        turn_rate=float(turn.turn_rate) if turn else 0.0,
         process_noise=np.array(motion.process_noise, dtype=float, order="C"),
+        moved=np.zeros(0),
+        transition=np.zeros((0, 0)),
         joint=bool(parameters.joint),
         iterations=int(parameters.iterations),
         cubature=bool(parameters.cubature),
@@ -285,13 +291,27 @@ def compile_model(parameters: FilterParameters, motion: CoordinatedTurn, bs: Arr
     )
 
 
+def predicted(model: Model, motion: MotionModel, state: Array) -> Model:
+    """The model with the next step of any motion model from a state (n,): f(s), F and Q, and its velocity linearized at
+    f(s); the recursion then steps by one period of `motion`, whatever that is."""
+    moved = np.ascontiguousarray(motion.step(state), dtype=float)
+    by_velocity = motion.pose_jacobian(moved)[VELOCITY]
+    velocity = motion.pose(moved).velocity
+    return model._replace(
+        site=(*model.site[:5], np.column_stack([by_velocity, velocity - by_velocity @ moved])),
+        process_noise=np.array(motion.process_noise, dtype=float, order="C"),
+        moved=moved,
+        transition=np.ascontiguousarray(motion.jacobian(state), dtype=float),
+    )
+
+
 def initial_density(mean: Array, covariance: Array) -> PMB:
     """The density before the first step: UE prior N(mean, covariance), the BS, no landmark."""
     mean = np.array(mean, dtype=float, order="C")
     covariance = np.array(covariance, dtype=float, order="C")
-    if covariance.shape != (mean.size, mean.size) or mean.size not in (4, 6):
+    if covariance.shape != (mean.size, mean.size) or mean.size < len(POSE):
         raise FilterError(
-            f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n = 4 or 6"
+            f"prior mean {mean.shape} and covariance {covariance.shape}: expected (n,), (n, n), n at least {len(POSE)}"
         )
     return PMB(
         mean=mean,

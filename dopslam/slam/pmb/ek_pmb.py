@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.errors import FilterError
-from dopslam.models.kernels import propagate_state
+from dopslam.models.kernels import move_state
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.history import COLUMNS, Diagnostics, History, history_of, write_map
@@ -74,7 +74,7 @@ class Info(NamedTuple):
 
 @compiled
 def ue_size(density):
-    """Entries of the UE's state, 4 or 6."""
+    """Entries of the UE's state."""
     return density.mean.shape[0] - 3 * (density.kind.shape[0] - 1)
 
 
@@ -98,7 +98,7 @@ def predict(density, model, pace):
     jacobian = np.empty((n, n))
     mean = density.mean.copy()
     covariance = density.covariance.copy()
-    moved_state = propagate_state(density.mean[:n], model.interval * pace, model.site[4], model.turn_rate, jacobian)
+    moved_state = move_state(density.mean[:n], model.site, model, pace, jacobian)
     copy_vector(moved_state, mean)
     moved = np.zeros((n, size))
     for i in range(n):
@@ -332,7 +332,7 @@ def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean:
     if model.process_noise.shape[0] != np.size(mean):
         raise FilterError(
             f"prior mean has {np.size(mean)} entries but the motion model {model.process_noise.shape[0]}; "
-            "use 4 for known and 6 for unknown speed and turn rate in both"
+            "they are the same states"
         )
 
 

@@ -10,11 +10,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
-from dopslam.slam.filter import Capabilities, Info, Problem
+from dopslam.slam.filter import Capabilities, Info, Problem, run_steps
 from dopslam.slam.history import Diagnostics, History, estimate_of
 from dopslam.slam.pmb import ek_pmb, mixture, smoother
-from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density
+from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density, predicted
 
 
 class State(NamedTuple):
@@ -43,7 +44,7 @@ class Joint:
     thinning : reduce the undetected intensity inside the field of view after every scan
     """
 
-    capabilities = Capabilities(states=(4, 6), intervals=True)
+    capabilities = Capabilities(states=(4, 6), any_motion=True, intervals=True)
     largest_order: ClassVar[int | None] = 1  # reflections of a virtual anchor that the map may hold; None: any
     correlated: ClassVar[bool] = True
 
@@ -90,12 +91,20 @@ class Joint:
         model = compile_model(self.parameters(problem, scan), problem.motion, problem.anchor, problem.height)
         ek_pmb.check_inputs(scan, self.parameters(problem, scan), model, problem.mean, problem.covariance)
         read = ek_pmb.scan_of(scan, 0, self.doppler, problem.motion.interval)._replace(first=state.measurements)
+        if not isinstance(problem.motion, CoordinatedTurn):
+            now = problem.motion.paced(read.pace)
+            model, read = (
+                predicted(model, now, self._reported(state.density).mean[: now.dimension]),
+                read._replace(pace=1.0),
+            )
         density, told = self._step(state.density, read, model)
         info = Info(estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence)
         return State(problem, density, state.measurements + len(scan.z)), info
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
-        """The recursion over all scans, compiled as one."""
+        """The recursion over all scans, compiled as one; scan by scan if the motion model is none that is compiled."""
+        if not isinstance(problem.motion, CoordinatedTurn):
+            return run_steps(self, problem, scans, rng)
         return ek_pmb.run(*self._arguments(problem, scans))
 
     def _arguments(self, problem: Problem, scans: Scans):
@@ -126,6 +135,8 @@ class Smoother(Joint):
     ``step`` is the filter's own: the window is kept by ``run`` alone.
     """
 
+    capabilities = Capabilities(states=(4, 6), intervals=True)
+
     lag: int = 5
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
@@ -136,6 +147,8 @@ class Smoother(Joint):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixture(Joint):
     """EK-PMBM: no projection, at most ``hypotheses`` global hypotheses are kept."""
+
+    capabilities = Capabilities(states=(4, 6), intervals=True)
 
     hypotheses: int = 20
 

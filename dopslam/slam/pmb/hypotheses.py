@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
-from dopslam.models.kernels import factorize, noise_entry, solve_lower_vector, subtract
+from dopslam.compute.linalg import factorize, solve_lower_vector
+from dopslam.models.kernels import log_spreading, noise_entry, subtract
 from dopslam.slam.association.clusters import k_best_of_clusters
-from dopslam.slam.pmb.birth import log_spreading, visible_share
+from dopslam.slam.pmb.birth import visible_share
 from dopslam.slam.pmb.curvature import add_curvature
 from dopslam.slam.pmb.density import INERT, NO_TRACK, look_up, start_of
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows

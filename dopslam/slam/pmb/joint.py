@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, inlined, take
-from dopslam.models.kernels import factorize, linearize, noise_entry, solve_lower, solve_lower_vector, subtract
+from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
+from dopslam.models.kernels import linearize, noise_entry, subtract
 from dopslam.slam.pmb.density import start_of
 from dopslam.slam.pmb.hypotheses import CELL
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows

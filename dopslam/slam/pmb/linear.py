@@ -11,7 +11,8 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import clear, compiled
-from dopslam.models.kernels import cholesky, linearize, predict_measurement, subtract
+from dopslam.compute.linalg import cholesky
+from dopslam.models.kernels import linearize, predict_measurement, subtract
 from dopslam.slam.pmb.density import start_of
 
 

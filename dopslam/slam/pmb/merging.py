@@ -19,7 +19,8 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import SP, factorize, solve_lower, solve_lower_vector
+from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
+from dopslam.models.kernels import SP
 from dopslam.slam.pmb.density import INERT, NO_TRACK, start_of
 
 APART = 16.0  # squared Mahalanobis distance up to which two positions may be one (99.9 % of χ²₃)

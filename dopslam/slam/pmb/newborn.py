@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import clear, compiled, copy_matrix
-from dopslam.models.kernels import SR, VA, cholesky, linearize, noise_entry, solve_lower, subtract
-from dopslam.slam.pmb.birth import fit_landmark, starting_point
+from dopslam.compute.linalg import cholesky, solve_lower
+from dopslam.models.kernels import SR, VA, linearize, noise_entry, starting_point, subtract
+from dopslam.slam.pmb.birth import fit_landmark
 from dopslam.slam.pmb.density import BIRTHS
 
 RARE = 1e-3  # of the pruning threshold: below it a type of a track is dropped

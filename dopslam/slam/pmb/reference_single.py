@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from dopslam.models.detection import ConstantDetection, soft_range
-from dopslam.models.measurement import SP, VA, incidence, jacobians, measure, positions, residual
+from dopslam.models.measurement import SP, directions, jacobians, measure, residual
 from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.paths import paths, place
+from dopslam.models.pose import positions
 from dopslam.slam.pmb.birth import CONVERGED, MAX_STEPS, REDUNDANT_LIMIT
 from dopslam.slam.pmb.density import FilterParameters
 
@@ -43,7 +45,7 @@ def linearize(state: Array, x: Array, kind: int, setting: Setting, m: int) -> tu
 
 def there(state: Array, x: Array, kind: int, setting: Setting) -> bool:
     """Whether the path exists: a virtual anchor's incidence point lies between it and the receiver."""
-    return kind != VA or bool(0 < incidence(positions(state, setting.height), x, setting.bs)[1] < 1)
+    return bool(paths(positions(state, setting.height), setting.bs, x, kind).exists)
 
 
 def detection_probability(x: Array, spread: Array, state: Array, kind: int, setting: Setting) -> float:
@@ -55,17 +57,12 @@ def detection_probability(x: Array, spread: Array, state: Array, kind: int, sett
 
 
 def starting_point(z: Array, state: Array, kind: int, setting: Setting) -> Array | None:
-    """Landmark of one measurement in closed form: x_U + D q, or for an SP the mean of the points on both rays."""
+    """Landmark of one measurement in closed form; None if its path is shorter than the direct one."""
     ue, length = positions(state, setting.height), z[0] - state[3]
-    w = setting.bs - ue
-    if not length > np.linalg.norm(w):
+    if not length > np.linalg.norm(setting.bs - ue):
         return None
-    q, p = (np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
-            for az, el in ((z[1] + state[2], z[2]), (z[3], z[4])))  # fmt: skip
-    if kind == VA:
-        return ue + length * q
-    half = 0.5 * (length**2 - w @ w)
-    return 0.5 * (ue + half / (length - w @ q) * q + setting.bs + half / (length + w @ p) * p)
+    arrival, departure = directions(z[1] + state[2], z[2]), directions(z[3], z[4])
+    return place(ue, setting.bs, length, arrival, departure, kind)
 
 
 class Fit(NamedTuple):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, take
 from dopslam.errors import FilterError
-from dopslam.models.kernels import propagate_state
+from dopslam.models.kernels import move_state
 from dopslam.models.measurement import BS, SR, seen_noise
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
@@ -176,7 +176,7 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
         for row in range(offsets[k], offsets[k + 1]):  # a measurement that bore a track bears its number
             born = chosen[row] == NO_TRACK and find(track[low:high], row) >= 0
             named[row] = row if born else chosen[row]
-        moved = propagate_state(states[-1], model.interval * pace[k], model.site[4], model.turn_rate, jacobian)
+        moved = move_state(states[-1], model.site, model, pace[k], jacobian)
         states = enlarge(states, states.shape[0] + 1, n)
         copy_vector(moved, states[-1])
         wanted = candidates(

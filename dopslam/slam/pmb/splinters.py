@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import SR, factorize, noise_entry, solve_lower_vector, wrap_angle
+from dopslam.compute.linalg import factorize, solve_lower_vector
+from dopslam.models.kernels import SR, noise_entry, wrap_angle
 
 FAMILY = 3  # members
 ALIKE = (

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
-from dopslam.models.kernels import VA
-from dopslam.slam.pmb.birth import log_spreading
+from dopslam.models.kernels import VA, log_spreading
 from dopslam.slam.pmb.density import PMB, start_of
 from dopslam.slam.pmb.hypotheses import normalize
 from dopslam.slam.pmb.joint import joint_update, likeliest_block, workspace

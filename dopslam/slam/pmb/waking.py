@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled, copy_vector, take
-from dopslam.models.kernels import SP, linearize, noise_entry, subtract
-from dopslam.slam.pmb.birth import log_spreading
+from dopslam.models.kernels import SP, linearize, log_spreading, noise_entry, subtract
 from dopslam.slam.pmb.density import INERT, NO_TRACK, PMB, look_up, start_of
 from dopslam.slam.pmb.hypotheses import CELL, ESTABLISHED
 from dopslam.slam.pmb.newborn import RARE

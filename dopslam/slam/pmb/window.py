@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
-from dopslam.models.kernels import SR, cholesky, linearize, propagate_state, solve_lower, subtract
+from dopslam.compute.linalg import cholesky, solve_lower
+from dopslam.models.kernels import SR, linearize, move_state, subtract
 
 CONVERGED = 1e-3  # squared Mahalanobis length of a Gauss-Newton step
 HALVINGS = 5  # of a step that does not lower the cost
@@ -40,7 +41,7 @@ def add_motion(information, gradient, at, state, following, weight, pace, model,
     """
     n = state.shape[0]
     jacobian, tied = np.empty((n, n)), np.zeros((n, n))
-    predicted = propagate_state(state, model.interval * pace, model.site[4], model.turn_rate, jacobian)
+    predicted = move_state(state, model.site, model, pace, jacobian)
     cost = 0.0
     for a in range(n):
         pull = 0.0

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import cholesky, solve_lower
+from dopslam.compute.linalg import cholesky, solve_lower
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import PS, VA, VA_AOD
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import clear, compiled, copy_matrix, copy_vector
-from dopslam.models.kernels import cholesky, solve_lower
+from dopslam.compute.linalg import cholesky, solve_lower
 
 
 @compiled

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled
-from dopslam.models.kernels import cholesky
+from dopslam.compute.linalg import cholesky
 from dopslam.slam.belief.belief import effective_size, normalized, systematic
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import VA

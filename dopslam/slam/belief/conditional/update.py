@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector
-from dopslam.models.kernels import cholesky, solve_lower, solve_lower_vector
+from dopslam.compute.linalg import cholesky, solve_lower, solve_lower_vector
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.conditional.moments import match
 from dopslam.slam.belief.kernels import VA

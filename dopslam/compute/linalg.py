@@ -1,0 +1,78 @@
+"""Small dense matrices in compiled code, each function with the NumPy expression that it is.
+
+Loops instead of ``@``: compiling one matrix product of numba takes ten seconds, and a product of 6 × 6 in it is slower than
+the loop. Results go into arrays that the caller owns.
+"""
+
+from __future__ import annotations
+
+import math
+
+from dopslam.compute.compiled import compiled
+
+
+@compiled
+def cholesky(matrix, size):
+    """Lower Cholesky factor of the leading (size, size) block in place; False if it is not positive
+    definite.
+    """
+    for j in range(size):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return False
+        pivot = math.sqrt(pivot)
+        matrix[j, j] = pivot
+        for i in range(j + 1, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = value / pivot
+    return True
+
+
+@compiled
+def factorize(matrix, size):
+    """:func:`cholesky` of a covariance that rounding may have made indefinite: as little as it takes is added to its
+    diagonal, up to a hundredth. False if that is not enough, or if it is not finite."""
+    kept = matrix[:size, :size].copy()
+    share = 0.0
+    while share < 0.02:
+        if cholesky(matrix, size):
+            return True
+        share = 1e-12 if share == 0.0 else 10.0 * share
+        for i in range(size):
+            for j in range(size):
+                matrix[i, j] = kept[i, j]
+            matrix[i, i] += share * abs(kept[i, i])
+    return False
+
+
+@compiled
+def solve_lower(factor, size, rows):
+    """Overwrite `rows` (size, columns) with L⁻¹ rows."""
+    columns = rows.shape[1]
+    for i in range(size):
+        for k in range(i):
+            scale = factor[i, k]
+            if scale != 0.0:
+                for j in range(columns):
+                    rows[i, j] -= scale * rows[k, j]
+        scale = 1.0 / factor[i, i]
+        for j in range(columns):
+            rows[i, j] *= scale
+
+
+@compiled
+def solve_lower_vector(factor, size, vector):
+    """Overwrite `vector` (size,) with L⁻¹ vector and return its squared length."""
+    total = 0.0
+    for i in range(size):
+        value = vector[i]
+        for k in range(i):
+            value -= factor[i, k] * vector[k]
+        value /= factor[i, i]
+        vector[i] = value
+        total += value * value
+    return total
