@@ -56,7 +56,7 @@ def cached(function: Callable[..., Any], root: Path, **options: Any) -> Any:
     options : of ``numba.njit``
     """
     dispatcher: Any = numba.njit(**options)(function)
-    folder = _writable(cache_folder())
+    folder = writable(cache_folder())
     if folder is not None:
         with contextlib.suppress(OSError, AttributeError):  # the source cannot be read; a numba without this cache
             dispatcher._cache = _Cache(function, folder / fingerprint(function, root))
@@ -78,7 +78,8 @@ def cache_folder() -> Path | None:
 
 
 @lru_cache(maxsize=8)
-def _writable(folder: Path | None) -> Path | None:
+def writable(folder: Path | None) -> Path | None:
+    """The folder, made if need be, or None if nothing can be written there."""
     if folder is None:
         return None
     try:
@@ -90,7 +91,7 @@ def _writable(folder: Path | None) -> Path | None:
 
 
 @cache
-def _platform() -> bytes:
+def machine() -> bytes:
     """Versions and processor: machine code of other ones is another's."""
     versions = (sys.version, numba.__version__, llvmlite.__version__, np.__version__, platform.machine())
     features = llvmlite.binding.get_host_cpu_features().flatten()
@@ -115,7 +116,7 @@ def fingerprint(function: Callable[..., Any], root: Path) -> str:
     kernel freezes.
     """
     folder = Path(inspect.getfile(function)).resolve().parent
-    digest = hashlib.sha256(_platform() + _sources(folder))
+    digest = hashlib.sha256(machine() + _sources(folder))
     for name, value in sorted(function.__globals__.items()):
         if name.startswith("__"):
             continue

@@ -10,6 +10,7 @@ import numba
 import pytest
 
 from dopslam.compute.compiled import compiled
+from dopslam.pipeline import ahead
 from estimation import jit
 
 CALLEE = """
@@ -147,3 +148,24 @@ def test_no_cache_folder_is_slower_never_broken(monkeypatch):
 
     monkeypatch.setattr(numba, "njit", refuses_to_cache)
     assert compiled(lambda x: x + 1)(2) == 3
+
+
+def test_filters_that_were_never_compiled_here_are_compiled_beside_and_the_process_ends_with_its_parent(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(ahead.jit, "cache_folder", lambda: tmp_path)
+    assert ahead.missing(["joint", "mine.py:Own", "bp"]) == ["joint", "bp"]
+    with ahead.compiling(["joint"]) as child:
+        assert child is not None and child.poll() is None
+    assert child.returncode  # killed with the body, however far it came
+    mark = ahead._mark("joint")
+    assert mark is not None
+    mark.touch()
+    assert ahead.missing(["joint", "bp"]) == ["bp"]
+    with ahead.compiling(["joint"]) as child:
+        assert child is None
+
+
+def test_without_a_folder_nothing_is_compiled_ahead(monkeypatch):
+    monkeypatch.setattr(ahead.jit, "cache_folder", lambda: None)
+    assert ahead.missing(["joint"]) == []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -21,6 +23,8 @@ from dopslam.cli.common import (
     worker_count,
 )
 from dopslam.cli.failure import sentence
+
+LONGEST_COMPILATION = 300  # s; then the filters compile what is missing themselves
 
 
 def run(
@@ -66,6 +70,7 @@ def run(
 
     from dopslam.config.scenario import load
     from dopslam.pipeline import file as stages
+    from dopslam.pipeline.ahead import compiling
     from dopslam.pipeline.look import look_at
     from dopslam.pipeline.preflight import refuse
     from dopslam.pipeline.reads import refuse_unread
@@ -107,8 +112,9 @@ def run(
     with folder.results_folder(out, scenario.name) as (working, final):
         data = working / "dataset.h5"
         (working / "scenario.toml").write_text(scenario.to_toml(), encoding="utf-8")
-        with progress_display() as progress:
-            if scenario.source.kind == "model":
+        traced = scenario.source.kind == "traced"
+        with progress_display() as progress, compiling(wanted if traced else ()) as compiler:
+            if not traced:
                 timed("simulate", stages.simulate, data, scenario, seed)
             else:
                 timed("trace", stages.trace, data, scenario, seed, progress)
@@ -119,9 +125,14 @@ def run(
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
+            if compiler is not None:  # what is left of it after tracing and estimation
+                progress("compile", 0, 1)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    compiler.wait(LONGEST_COMPILATION)
+                progress("compile", 1, 1)
             variants = stages.variants_of(scenario, wanted, used)
             for done, (name, doppler) in enumerate(variants):
-                progress("slam", done, len(variants))  # the very first run compiles for a minute
+                progress("slam", done, len(variants))
                 tried(stages.variant_name(name, doppler), "slam", stages.slam, data, (), name, doppler)
             progress("slam", len(variants), len(variants))
             both = (True, False) if used else (False,)

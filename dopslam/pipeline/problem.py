@@ -184,23 +184,34 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
     Raises
     ------
     ConfigError
-        If there is no such filter, or it has no option of ``[filter.options]``.
+        If there is no such filter, or it has no option of ``[filter.options]``. A table in there with the name of a filter,
+        ``[filter.options.batch]``, is for that filter alone.
     """
     config, belief = scenario.filter, scenario.belief
     name = name or config.density
     kind = FILTERS[name]
-    own = {field.name for field in fields(kind)} if is_dataclass(kind) else set()
-    unknown = sorted(set(config.options) - own)
+    own = _options_of(name)
+    alone = {key: value for key, value in config.options.items() if isinstance(value, dict) and key in FILTERS}
+    chosen = {key: value for key, value in config.options.items() if key not in alone} | alone.get(name, {})
+    unknown = sorted(set(chosen) - own)
     if unknown:
+        able = [other for other in FILTERS if unknown[0] in _options_of(other)]
+        hint = f"; for {able[0]} alone it is filter.options.{able[0]}.{unknown[0]}" if able else ""
         raise ConfigError(
-            f"filter.options.{unknown[0]}: the filter {name!r} has no such option; it has {', '.join(sorted(own)) or 'none'}"
+            f"filter.options.{unknown[0]}: the filter {name!r} has no such option; it has "
+            f"{', '.join(sorted(own)) or 'none'}{hint}"
         )
     values = config.model_dump(exclude={"options", "motion_options"}) | {
         "assumptions": assumptions(belief, "single_bounce"),
         "false_alarm_tail": 0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
         "doppler": doppler and motion(scenario).doppler,
     }
-    return kind(**{key: value for key, value in (values | config.options).items() if key in own})
+    return kind(**{key: value for key, value in (values | chosen).items() if key in own})
+
+
+def _options_of(name: str) -> set[str]:
+    kind = FILTERS[name]
+    return {field.name for field in fields(kind)} if is_dataclass(kind) else set()
 
 
 def assumptions(belief: BeliefConfig, types: str) -> Assumptions:

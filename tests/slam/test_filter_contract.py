@@ -143,3 +143,13 @@ def test_several_filters_run_on_the_same_draws(call, tmp_path):
     bounds = [found[name]["per_step"]["bound_position"] for name in found]
     assert bounds[0] == bounds[1]  # the same tracks and detections
     assert found["bp"]["diverged"] == 0
+
+
+def test_an_option_can_be_for_one_of_several_filters_alone():
+    scenario = ds.load("ring_road", set=["filter.options.batch.noise=scaled"])
+    assert build.chosen_filter(scenario, "batch").noise == "scaled"
+    assert build.chosen_filter(scenario, "joint") == build.chosen_filter(ds.load("ring_road"), "joint")
+    with pytest.raises(ds.DopslamError, match=r"filter.options.nois: the filter 'batch' has no such option"):
+        build.chosen_filter(ds.load("ring_road", set=["filter.options.batch.nois=scaled"]), "batch")
+    with pytest.raises(ds.DopslamError, match=r"for batch alone it is filter.options.batch.noise"):
+        build.chosen_filter(ds.load("ring_road", set=["filter.options.noise=scaled"]), "joint")
