@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from dopslam.challenge.board import board
+from dopslam.studies.challenge.board import board
 
 HEAD = """# The board
 

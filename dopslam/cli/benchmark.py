@@ -48,9 +48,9 @@ def make(
     """
     from rich.console import Console
 
-    from dopslam.challenge.cases import DEVELOP, FIRST_SCENE, TEST, plan
-    from dopslam.challenge.make import make as write
     from dopslam.errors import ConfigError
+    from dopslam.studies.challenge.cases import DEVELOP, FIRST_SCENE, TEST, plan
+    from dopslam.studies.challenge.make import make as write
 
     if min(scenes, seeds, steps) < 1:
         raise ConfigError("--scenes, --seeds and --steps are whole numbers from 1")
@@ -86,9 +86,9 @@ def run(
     """
     from rich.console import Console
 
-    from dopslam.challenge.filtered import answers
     from dopslam.report.folder import safe_name, write_text
     from dopslam.store.place import refuse_unwritable
+    from dopslam.studies.challenge.filtered import answers
 
     refuse_unwritable(out / "joint.csv")
     console = Console(highlight=False, soft_wrap=True, markup=False)

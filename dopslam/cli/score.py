@@ -31,10 +31,10 @@ def score(
     """
     from rich.console import Console
 
-    from dopslam.challenge.board import table
-    from dopslam.challenge.score import score as judge
     from dopslam.report.folder import write_json
     from dopslam.store.place import refuse_no_file
+    from dopslam.studies.challenge.board import table
+    from dopslam.studies.challenge.score import score as judge
 
     refuse_no_file(json)
     result = judge(answer, suite, suite.with_name(f"{suite.name}-truth") if truth is None else truth, name)

@@ -10,7 +10,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,9 @@ from dopslam.datasets.manifest import ShardEntry, sync_folder
 from dopslam.datasets.plan import Plan, shard_file
 from dopslam.datasets.tracks import Steps, Tracks
 from dopslam.errors import DatasetError
-from dopslam.pipeline import link as radio
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.problem import base_stations
-from dopslam.pipeline.stages import Component, Progress, quiet
+from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import BaseStations, Landmarks, Paths, Track
 from dopslam.report.folder import versions
 from dopslam.store import file as dataset
@@ -50,18 +48,8 @@ class ShardSignal:
 
     def snapshot(self, step: int) -> np.ndarray:
         """Received signal of one position, eq. (2): complex64 (subcarriers, symbols, receive elements) in √W."""
-        from estimation import synthesize
-
         scenario = parse(self.scenario_toml)
-        table = radio.path_table(scenario, self.track, self.paths, step)
-        rng = pipeline.generator(self.seed, Component.NOISE, self.first + step)
-        return synthesize(_signal_model(self.scenario_toml), table, radio.noise_variance(scenario), rng)
-
-
-@lru_cache(maxsize=2)
-def _signal_model(scenario_toml: str):
-    """The signal model of a scenario; kept since its codebooks serve every snapshot."""
-    return radio.signal_model(parse(scenario_toml))
+        return pipeline.synthesize_snapshot(scenario, self.track, self.paths, step, self.seed, self.first + step)
 
 
 class ShardTracer:

@@ -7,7 +7,7 @@ frame [m], headings [rad], speeds [m/s]; the clock bias walks as in eq. (1) of p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +18,9 @@ from dopslam.config.trackfile import STANDING, course_held, read_rows, rising
 from dopslam.datasets.polygon import clearance
 from dopslam.errors import ConfigError
 from dopslam.models.measurement import wrap
-from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Component
 from dopslam.records import Track
-from dopslam.simulate import world as simulate_module
 
 TRIES = 20_000  # random starts before a polygon counts as too narrow
 TURNS = np.linspace(-1, 1, 41)  # turn rates that a drive chooses from, over the largest
@@ -117,9 +115,7 @@ class Tracks:
         return self._track(state[1:], np.full(steps, speed), _bias(self.scenario, steps, rng), state[0])
 
     def _motion(self, steps: int, rng: np.random.Generator) -> Track:
-        world = replace(build.situation(self.scenario), steps=steps)
-        draw = self.scenario.track.random
-        state = simulate_module.draw_track(world, rng) if draw else simulate_module.nominal_track(world)
+        state = pipeline.drawn_states(self.scenario, rng, steps)
         speed = np.full(steps, self.scenario.track.speed)
         return self._track(state[:, :3], speed, state[:, 3], np.array(self.scenario.track.start[:3]))
 

@@ -54,15 +54,18 @@ class Truth:
     mesh: Mesh | None = None
 
 
+def drawn_states(scenario: Scenario, rng: np.random.Generator, steps: int | None = None) -> np.ndarray:
+    """States (K, 4) of ``steps`` steps from the motion model, eq. (1), or exactly its mean."""
+    world = build.situation(scenario)
+    world = world if steps is None else replace(world, steps=steps)
+    return simulate_module.draw_track(world, rng) if scenario.track.random else simulate_module.nominal_track(world)
+
+
 def draw_track(scenario: Scenario, seed: int) -> Track:
     """The receiver's true track: its own drive, or drawn from the motion model, eq. (1), or exactly its mean."""
     if scenario.track.file or scenario.track.waypoints:
         return own_track(scenario, seed)
-    config, world = scenario.track, build.situation(scenario)
-    if config.random:
-        state = simulate_module.draw_track(world, generator(seed, Component.TRACK))
-    else:
-        state = simulate_module.nominal_track(world)
+    config, state = scenario.track, drawn_states(scenario, generator(seed, Component.TRACK))
     heading = state[:, 2]
     forward = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(state))])
     return Track(
@@ -123,11 +126,16 @@ def _plan(outlines: list[tuple[str, np.ndarray]]) -> FloorPlan:
     )
 
 
-def synthesize_snapshot(scenario: Scenario, track: Track, paths: Paths, step: int, seed: int) -> np.ndarray:
-    """Received signal of one step, eq. (2): complex64 (subcarriers, symbols, receive elements) in √W."""
+def synthesize_snapshot(
+    scenario: Scenario, track: Track, paths: Paths, step: int, seed: int, number: int | None = None
+) -> np.ndarray:
+    """Received signal of one step, eq. (2): complex64 (subcarriers, symbols, receive elements) in √W.
+
+    Its noise is that of the ``number`` of the step, where that counts from elsewhere: in a dataset of many parts.
+    """
     from estimation import synthesize
 
-    rng = generator(seed, Component.NOISE, step)
+    rng = generator(seed, Component.NOISE, step if number is None else number)
     table = radio.path_table(scenario, track, paths, step)
     return synthesize(_model(scenario.to_toml()), table, radio.noise_variance(scenario), rng)
 

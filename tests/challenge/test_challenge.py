@@ -7,8 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from dopslam.challenge import answer as answers
-from dopslam.challenge import board, cases, filtered, make, score
 from dopslam.config.scenario import load
 from dopslam.errors import DatasetError
 from dopslam.models.measurement import measure, residual
@@ -17,6 +15,8 @@ from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.records import DetectionSeries
 from dopslam.store import file as dataset
+from dopslam.studies.challenge import answer as answers
+from dopslam.studies.challenge import board, cases, filtered, make, score
 
 
 @pytest.fixture(scope="module")

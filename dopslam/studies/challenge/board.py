@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from dopslam.challenge.score import FIGURES
 from dopslam.errors import DatasetError
+from dopslam.studies.challenge.score import FIGURES
 
 
 def table(result: dict) -> Table:

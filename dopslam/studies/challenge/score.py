@@ -14,8 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dopslam.challenge.answer import Answer, read
-from dopslam.challenge.make import FORMAT, MANIFEST, sha256
 from dopslam.config.scenario import parse
 from dopslam.errors import DatasetError
 from dopslam.evaluate import community
@@ -24,6 +22,8 @@ from dopslam.evaluate.run import Evaluation, evaluate_run, landmark_errors
 from dopslam.evaluate.walls import wall_figures, walls
 from dopslam.records import Kind, Landmarks, Track
 from dopslam.store import file as dataset
+from dopslam.studies.challenge.answer import Answer, read
+from dopslam.studies.challenge.make import FORMAT, MANIFEST, sha256
 from estimation import statistics
 
 LEAST = 3  # detections
@@ -72,8 +72,8 @@ def score(answer: Path, suite: Path, truth: Path, name: str | None = None) -> di
 
     Parameters
     ----------
-    answer : table, dataset file or folder of dataset files (:mod:`dopslam.challenge.answer`)
-    suite, truth : folders that :func:`dopslam.challenge.make.make` made
+    answer : table, dataset file or folder of dataset files (:mod:`dopslam.studies.challenge.answer`)
+    suite, truth : folders that :func:`dopslam.studies.challenge.make.make` made
     name : of the method; default that of the file
     """
     manifest = manifest_of(suite)

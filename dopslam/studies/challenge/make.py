@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from dopslam.challenge.cases import LEVELS, STEPS, Case, Drawn, at_level, drawn, scenario_of
 from dopslam.errors import DatasetError
 from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
@@ -30,6 +29,7 @@ from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import DetectionSeries
 from dopslam.report.folder import write_text
 from dopslam.store import file as dataset
+from dopslam.studies.challenge.cases import LEVELS, STEPS, Case, Drawn, at_level, drawn, scenario_of
 
 FORMAT = 1
 MANIFEST = "suite.json"

@@ -6,14 +6,14 @@ import csv
 import io
 from pathlib import Path
 
-from dopslam.challenge.answer import header, of_history, to_rows
-from dopslam.challenge.score import manifest_of, verify
 from dopslam.config.scenario import parse
 from dopslam.errors import DatasetError, DopslamError
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import DetectionSeries
 from dopslam.store import file as dataset
+from dopslam.studies.challenge.answer import header, of_history, to_rows
+from dopslam.studies.challenge.score import manifest_of, verify
 
 
 def answers(suite: Path, name: str, split: str | None = None, progress: Progress = quiet) -> tuple[str, dict[str, str]]:
