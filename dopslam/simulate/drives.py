@@ -75,7 +75,7 @@ def surroundings(kind: Kind, places: Array, height: float, rng: np.random.Genera
     middle = places.mean(axis=0)
     bs = np.array([*(middle + rng.uniform(-0.5, 0.5, 2) * kind.extent), kind.base])
     walls, objects = int(rng.integers(1, 5)), int(rng.integers(0, 6))
-    position = [bs]
+    position: list = [bs]
     for _ in range(walls):
         angle = rng.uniform(-np.pi, np.pi)
         normal = np.array([np.cos(angle), np.sin(angle), 0.0])
