@@ -14,7 +14,7 @@ import numpy as np
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .floor import Floor
+from .floor import CANDIDATE, Floor
 
 FARTHEST = 4.0
 """Speeds are looked at up to this multiple of the largest one searched."""
@@ -46,7 +46,7 @@ def beyond(floor: Floor, path: Geometry, energy: float, max_delay: float, max_sp
     for points in lines(model, path, max_delay, max_speed):
         mode = 0 if points.delay[0] != points.delay[-1] else 1
         blocks = model.evaluate(points)[0]
-        fiber = floor.along(path, mode)
+        fiber = floor.along(path, mode, CANDIDATE)
         vectors = blocks[mode][:, 0]
         power: Float = np.abs(vectors.conj() @ fiber) ** 2 / np.maximum(np.sum(np.abs(vectors) ** 2, axis=1), 1e-300)
         if power.max(initial=0.0) > highest:

@@ -24,8 +24,8 @@ from .refine import Linearization
 
 LARGEST = 10**-1.5
 """What holds more than this share of a path's energy is not an error of its model."""
-STRONGEST = 2
-"""Paths that the error of a model is measured on."""
+CANDIDATE = -1
+"""Number of a path that is not known (yet), where several of its fibers are wanted."""
 RATE = 1e-3
 """Probability that noise alone makes a mode look wrong."""
 FITTED = 3
@@ -111,20 +111,20 @@ class Floor:
         return raised
 
     def errors(self) -> Float:
-        """(modes,) energy of the model's error along each mode, relative to a path's, from the strongest paths; 0 where it
-        is within what noise does.
+        """(modes,) energy of the model's error along each mode, relative to a path's, from the strongest path; 0 where it is
+        within what noise does.
         """
         model, known = self.data.model, self.known
         sizes = np.array([mode.shape[2] for mode in known.blocks[0]]) if known is not None else np.zeros(0, int)
         share = np.zeros(len(sizes))
         if known is None or model.subbands > 1 or model.weight is not None:
             return share
-        strongest = np.argsort(known.drop)[::-1][:STRONGEST]
-        strength = known.drop[strongest].sum() / self.variance
+        strongest = int(np.argmax(known.drop))
+        strength = known.drop[strongest] / self.variance
         for mode in np.flatnonzero(sizes > FITTED):
-            energy = sum(np.linalg.norm(self._fiber(int(p), int(mode))) ** 2 for p in strongest) / self.variance
-            # Of each fiber the path itself and its place along the mode have been fitted.
-            free = len(strongest) * (sizes[mode] - 2)
+            energy = np.linalg.norm(self._fiber(strongest, int(mode))) ** 2 / self.variance
+            # Of the fiber the path itself and its place along the mode have been fitted.
+            free = sizes[mode] - 2
             if 2 * energy > chi2.isf(RATE, 2 * free):
                 share[mode] = (energy - free) / strength
         return share

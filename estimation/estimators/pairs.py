@@ -16,7 +16,7 @@ from math import gamma, pi
 
 import numpy as np
 
-from ..signal.algebra import normalized, weighted_blocks
+from ..signal.algebra import Blocks, normalized, weighted_blocks
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.modes import Mode
@@ -26,14 +26,15 @@ from .detect import expected_maxima, threshold_for
 from .floor import LARGEST, Floor
 from .lobes import great_circle
 from .noise import Noise
+from .polish import less_known
 from .projector import Projector
-from .refine import Linearization, information, metric
+from .refine import Linearization, information, joint_fit, linearize, metric
 from .split import Fitter
 
 APART = 0.8
 """Distance of the tested points from a path along each mode, in its metric; a lobe ends near 3."""
-SUSPECT = 8.5
-"""Least score that a pair is fitted for; one clean path in twenty-five has more."""
+SUSPECT = 9.0
+"""Least score that a pair is fitted for; one clean path in fifty has more."""
 TOLD = 0.004
 """Probability that a single path counts as a pair."""
 BLUR = 2.0
@@ -188,6 +189,33 @@ def _products(factors):
     return total
 
 
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Data less paths that stay as they are: what :func:`~.refine.joint_fit` needs of it."""
+
+    data: Projector
+    known: Linearization
+
+    @property
+    def model(self) -> SignalModel:
+        """The link."""
+        return self.data.model
+
+    def inner(self, geometry: Geometry, blocks: Blocks):
+        """``<d_a s_p, y>`` (P, 7) of signatures and derivatives with what is left."""
+        return less_known(self.model, self.data.inner(geometry, blocks), blocks, self.known)
+
+
+def gained_alone(data: Projector, lin: Linearization, path: int, second: Geometry, noise_variance: float) -> float:
+    """Log-likelihood that a second path beside one gains, those that do not overlap with it left as they are."""
+    overlap = normalized(lin.gram[:, 0, :, 0])[path]
+    close = np.flatnonzero(overlap > NEIGHBOR)
+    others = np.flatnonzero(overlap <= NEIGHBOR)
+    rest = Rest(data, lin.sorted(others)) if len(others) else data
+    pair = joint_fit(rest, lin.geometry.take(close).joined(second), noise_variance, 0.5)
+    return (pair.explained - linearize(rest, lin.geometry.take(close)).explained) / noise_variance
+
+
 def separated(lin: Linearization, path: int, apart: Float, active, noise_variance: float) -> float:
     """Squared distance of a path from the last one, ``apart`` (6,) tangent steps, in terms of its covariance."""
     seen = np.tile(np.asarray(active, bool), len(lin.gain))
@@ -228,7 +256,10 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
         if found.statistic[path] < SUSPECT:
             break
         one = lin.geometry.take([path])
-        grown = estimator._fit(data, lin.geometry.joined(one.moved(found.step[[path]])), noise)
+        second = one.moved(found.step[[path]])
+        if gained_alone(data, lin, path, second, variance) < told:
+            continue
+        grown = estimator._fit(data, lin.geometry.joined(second), noise)
         gained = (grown.explained - lin.explained) / variance
         two = grown.geometry.take([path, -1])
         lengths = metric(lin.gram[path, :, path], model.active)

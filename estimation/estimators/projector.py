@@ -107,7 +107,8 @@ class Projector:
     """Projections on one whitened signal; holds its planes and compressed windows (caches, the only state)."""
 
     def __init__(self, model: SignalModel, signal, bases: Bases | None) -> None:
-        self.model, self.signal = model, signal
+        self.model: SignalModel = model
+        self.signal = signal
         self._bases = bases
         self._delays, self._speeds = np.empty(0), np.empty(0)
         self._windows: list[np.ndarray] = []

@@ -11,16 +11,26 @@ in every direction, whatever array it comes from.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ..signal.algebra import Blocks, gram, normalized
 from ..signal.directions import Float
+from ..signal.model import SignalModel
 from ..signal.paths import Geometry
-from .projector import Projector
 
 LARGEST_STEP = 0.8
 """Longest step of one path in its own metric; the ambiguity function's main lobe ends near 3."""
+
+
+class Data(Protocol):
+    """A signal that signatures can be projected on."""
+
+    @property
+    def model(self) -> SignalModel: ...
+
+    def inner(self, geometry: Geometry, blocks: Blocks) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +93,7 @@ def inverted(plain) -> np.ndarray:
     return np.linalg.inv(plain + np.diag(np.where(own > 0, 1e-9 * own, 1.0)))
 
 
-def linearize(data: Projector, geometry: Geometry) -> Linearization:
+def linearize(data: Data, geometry: Geometry) -> Linearization:
     """Project the data on the paths' signatures and derivatives."""
     blocks = data.model.evaluate(geometry)
     inner = data.inner(geometry, blocks)
@@ -132,7 +142,7 @@ def bounded(step: Float, lengths: Float, limit: float) -> Float:
 
 
 def joint_fit(
-    data: Projector,
+    data: Data,
     start: Geometry | Linearization,
     noise_variance: float,
     tolerance: float = 0.02,
