@@ -65,6 +65,9 @@ def test_only_the_command_line_prints_or_exits(path):
 
 ONCE = {
     "estimation/statistics.py": r"2\.5, 97\.5|\bppf\(0\.(025|975)|\bt as student\b|\bdef _?bootstrap",
+    "dopslam/models/paths.py": r"\bdef (mirror|incidence|spreading_loss)\b|\bclass Reflection\b",
+    "dopslam/evaluate/recursion.py": r"\bclass LinearizedRun\b",
+    "dopslam/pipeline/problem.py": r"\bdef chosen_filter\b",
 }
 """What is said in one place only: a pattern of its code, and the module that may hold it."""
 

@@ -13,9 +13,8 @@ from dopslam.compute.compiled import compiled
 
 @compiled
 def cholesky(matrix, size):
-    """Lower Cholesky factor of the leading (size, size) block in place; False if it is not positive
-    definite.
-    """
+    """``matrix[:] = np.linalg.cholesky(matrix)``, the lower triangle of the leading (size, size) block in place; False if
+    it is not positive definite."""
     for j in range(size):
         pivot = matrix[j, j]
         for k in range(j):
@@ -51,7 +50,7 @@ def factorize(matrix, size):
 
 @compiled
 def solve_lower(factor, size, rows):
-    """Overwrite `rows` (size, columns) with L⁻¹ rows."""
+    """``rows[:] = np.linalg.solve(np.tril(factor), rows)``, of the leading (size, size) block."""
     columns = rows.shape[1]
     for i in range(size):
         for k in range(i):
@@ -66,7 +65,7 @@ def solve_lower(factor, size, rows):
 
 @compiled
 def solve_lower_vector(factor, size, vector):
-    """Overwrite `vector` (size,) with L⁻¹ vector and return its squared length."""
+    """``vector[:] = np.linalg.solve(np.tril(factor), vector)``; returns ``vector @ vector``."""
     total = 0.0
     for i in range(size):
         value = vector[i]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dopslam.evaluate.belief import bound
 from dopslam.evaluate.metrics import rmse_over_bound
-from dopslam.slam.belief.bound import bound
 from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.experiment import Experiment, draw
 from dopslam.slam.belief.motion import ConstantVelocity

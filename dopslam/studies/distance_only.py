@@ -10,8 +10,9 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from dopslam.errors import FilterError
+from dopslam.evaluate.belief import distance_bound
 from dopslam.slam.belief.distance_only.filter import RangeOnly, RangeParameters
-from dopslam.slam.belief.distance_only.scene import RangeScenario, bound, office
+from dopslam.slam.belief.distance_only.scene import RangeScenario, office
 from dopslam.studies.bp_study import interval
 
 PARTICLES = 10_000
@@ -90,7 +91,7 @@ def summary(
         "steps": len(scenario.track),
         "position_rmse_m": rmse[0],
         "position_rmse_interval_m": list(rmse[1:]),
-        "position_bound_m": float(np.sqrt(np.mean(bound(scenario, parameters) ** 2))),
+        "position_bound_m": float(np.sqrt(np.mean(distance_bound(scenario, parameters) ** 2))),
         "worst_run_m": max(r.position_rmse for r in results),
         "features": total,
         "features_found": float(np.mean([sum(r.found) for r in results])),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
+from dopslam.evaluate.belief import bound, tangent_jacobian
 from dopslam.slam.belief import belief, geometry
-from dopslam.slam.belief.bound import bound, tangent_jacobian
 from dopslam.slam.belief.experiment import Experiment, blocked, draw, draw_track, spatial, weak
 from dopslam.slam.belief.motion import ConstantVelocity, SpeedHeading, particles
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell, State

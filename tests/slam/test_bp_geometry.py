@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from dopslam.evaluate.belief import tangent_jacobian
 from dopslam.models.measurement import measure
 from dopslam.slam.belief import geometry, kernels
 from dopslam.slam.belief.births import birth, order_for
-from dopslam.slam.belief.bound import tangent_jacobian
 from dopslam.slam.belief.evidence import gaussian_evidence
 from dopslam.slam.belief.records import Form
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
+from dopslam.evaluate.belief import distance_bound as bound
 from dopslam.slam.belief.distance_only import kernels
 from dopslam.slam.belief.distance_only.filter import RangeMap, RangeOnly, RangeParameters, RangeState
-from dopslam.slam.belief.distance_only.scene import bound, office
+from dopslam.slam.belief.distance_only.scene import office
 from dopslam.studies import distance_only as range_study
 
 

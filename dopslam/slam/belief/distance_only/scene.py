@@ -55,33 +55,3 @@ def office(steps: int = 900, length: float = 0.03) -> RangeScenario:
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     reached = length * np.arange(1, steps + 1)
     return RangeScenario(np.column_stack([np.interp(reached, arc, path[:, a]) for a in range(2)]), maps)
-
-
-def bound(scenario: RangeScenario, parameters: RangeParameters, radius: float = 0.5, speed: float = 0.05) -> np.ndarray:
-    """(K,) PCRB of the position [m] with the association known and the map unknown.
-
-    The information filter over agent and features at the true places, with p_D of every distance's information and the
-    filter's motion model; ``radius`` [m] and ``speed`` [m/s] of the start.
-    """
-    p = parameters
-    known = scenario.anchors
-    unknown = np.concatenate([f[1:] for f in scenario.features])
-    size = 4 + 2 * len(unknown)
-    covariance = np.diag([radius**2 / 4] * 2 + [speed**2 / 3] * 2 + [100.0] * (size - 4))
-    transition, gain = np.eye(size), np.zeros((size, 2))
-    transition[:2, 2:4] = p.interval * np.eye(2)
-    gain[:2], gain[2:4] = 0.5 * p.interval**2 * np.eye(2), p.interval * np.eye(2)
-    noise = p.acceleration**2 * gain @ gain.T
-    out = np.empty(len(scenario.track))
-    for k, place in enumerate(scenario.track):
-        covariance = transition @ covariance @ transition.T + noise
-        e = np.concatenate([place - known, place - unknown])
-        e /= np.linalg.norm(e, axis=1, keepdims=True)
-        h = np.zeros((len(e), size))
-        h[:, :2] = e
-        for i in range(len(unknown)):
-            h[len(known) + i, 4 + 2 * i : 6 + 2 * i] = -e[len(known) + i]
-        information = p.detection / p.deviation**2 * h.T @ h
-        covariance = np.linalg.inv(np.linalg.inv(covariance) + information)
-        out[k] = np.sqrt(np.trace(covariance[:2, :2]))
-    return out
