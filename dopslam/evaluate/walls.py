@@ -17,6 +17,8 @@ from dopslam.records import Kind, Landmarks, Track
 from dopslam.slam.history import History
 
 SMALLEST_EXTENT = 1.0  # m, a wall seen in one point only is drawn this wide
+LARGEST_TURN = np.deg2rad(10.0)  # of a wall from the true one that it is taken for
+LEAST_REACH = 5.0  # m, that an angle counts over when walls are paired: a wall seen in one point says less by its place
 LEAST_WAY = 1e-3  # m; a virtual anchor in the base station has no plane
 
 
@@ -170,19 +172,19 @@ def wall_errors(
     gap = np.abs(found.center @ normal.T - offset)
     turn = np.arccos(np.clip(found.normal @ normal.T, -1.0, 1.0))
     reach = 0.5 * np.linalg.norm(found.corners[:, 2] - found.corners[:, 0], axis=-1)[:, None]
-    for i, j in zip(*linear_sum_assignment(gap + reach * turn), strict=True):
+    for i, j in zip(*linear_sum_assignment(gap + np.maximum(reach, LEAST_REACH) * turn), strict=True):
         partner[i], distance[i], angle[i] = true[j], gap[i, j], turn[i, j]
     return partner, distance, angle
 
 
 def wall_figures(found: Walls, landmarks: Landmarks, radius: float) -> dict:
-    """The figures of ``summary.json``: walls within ``radius`` [m] of a true one, and how far off those are.
+    """The figures of ``summary.json``: walls within ``radius`` [m] and 10° of a true one, and how far off those are.
 
     ``wall_distance_m`` and ``wall_angle_deg`` are root mean squares over the walls found; None where there are none.
     """
     bs = landmarks.position[landmarks.kind == Kind.BS][0]
     _, distance, angle = wall_errors(found, landmarks, bs)
-    near = distance <= radius
+    near = (distance <= radius) & (angle <= LARGEST_TURN)
 
     def rms(values: np.ndarray) -> float | None:
         return float(np.sqrt(np.mean(values**2))) if len(values) else None

@@ -44,10 +44,11 @@ def _ellipse(axes, mean: np.ndarray, covariance: np.ndarray, color: str, enlarge
 
 
 def _enlargement(covariances: np.ndarray, extent: float) -> int:
-    """Factor (1, 2, 5, 10, …) that makes the median 95 % ellipse about a fiftieth of the picture."""
+    """Factor (1, 2, 5, 10, …) that makes the median 95 % ellipse about a fiftieth of the picture, and few large ones."""
     if not len(covariances):
         return 1
-    typical = np.median(np.sqrt(_CHI2_95_2D * np.linalg.eigvalsh(covariances)[:, -1]))
+    sizes = np.sqrt(_CHI2_95_2D * np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
+    typical = max(np.median(sizes), np.quantile(sizes, 0.95) / 5)
     steps = [m * 10**e for e in range(4) for m in (1, 2, 5)]
     return next((f for f in reversed(steps) if f * typical < 0.02 * extent), 1)
 
@@ -71,14 +72,16 @@ def plan_view(
     step : whose rays are drawn
     threshold : existence above which a landmark is drawn
     """
-    figure = Figure(figsize=(7.4, 7.6))
-    axes = figure.add_subplot()
+    bs = landmarks.position[landmarks.kind == Kind.BS][0]
+    upright = [c[:2, :2] for c, n in _upright(true_walls(track, landmarks))]
+    low, high = _frame(bs, track, paths, landmarks, upright)
+    tall = float((high - low)[1] / (high - low)[0])
+    figure = Figure(figsize=(7.4, float(np.clip(6.3 * tall, 2.4, 8.5)) + 1.8))
+    axes = figure.add_subplot(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     if plan is not None:
         for w in range(len(plan.name)):
             line = plan.points[plan.offsets[w] : plan.offsets[w + 1]]
             axes.plot(*line.T, color=WALL, linewidth=2.2, label="walls, objects" if w == 0 else None, zorder=1)
-    bs = landmarks.position[landmarks.kind == Kind.BS][0]
-    upright = [c[:2, :2] for c, n in _upright(true_walls(track, landmarks))]
     for number, line in enumerate(upright if plan is None else ()):
         axes.plot(
             line[:, 0], line[:, 1], color=WALL, linewidth=4, label="true walls" if number == 0 else None, zorder=1
@@ -90,7 +93,6 @@ def plan_view(
     axes.plot(*history.mean[:, :2].T, ".", color=ESTIMATE, markersize=5, label="estimated track", zorder=4)
     last = history.rows(history.steps - 1)
     shown = history.existence[last] > threshold
-    low, high = _frame(axes, bs, track, paths, landmarks, upright)
     within = shown & np.all((history.position[last, :2] >= low) & (history.position[last, :2] <= high), axis=1)
     spreads = np.concatenate([history.covariance[:, :2, :2], history.position_covariance[last][within][:, :2, :2]])
     enlarged = _enlargement(spreads, float(np.max(high - low)))
@@ -140,8 +142,8 @@ def _walls(axes, found, enlarged: float) -> None:
         label = band = None
 
 
-def _frame(axes, bs, track: Track, paths: Paths | None, landmarks: Landmarks, lines, margin: float = 0.06):
-    """Show where the rays went; virtual anchors far outside would squeeze everything else.
+def _frame(bs, track: Track, paths: Paths | None, landmarks: Landmarks, lines, margin: float = 0.06):
+    """The corners of what is shown: where the rays went; virtual anchors far outside would squeeze everything else.
 
     Parameters
     ----------
@@ -157,7 +159,6 @@ def _frame(axes, bs, track: Track, paths: Paths | None, landmarks: Landmarks, li
     points = np.concatenate(shown)
     low, high = points.min(axis=0), points.max(axis=0)
     space = margin * max(*(high - low), 1.0)
-    axes.set(xlim=(low[0] - space, high[0] + space), ylim=(low[1] - space, high[1] + space))
     return low - space, high + space
 
 

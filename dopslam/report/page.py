@@ -103,7 +103,11 @@ def _cards(summary: Mapping) -> str:
     cards = [
         (length_text(v["position_rmse_m"]), "position error", beside),
         (f"{v['heading_rmse_deg']:.3f}°", "heading error", ""),
-        (f"{v['va_found']} of {v['va_total']}", "walls found", "" if off is None else f"{length_text(off)} off"),
+        (
+            f"{v.get('walls_found', v['va_found'])} of {v.get('walls_total', v['va_total'])}",
+            "walls found",
+            "" if off is None else f"{length_text(off)} off",
+        ),
         (f"{v['sp_found']} of {v['sp_total']}", "small objects found", "scatter points"),
         (trust, "its own error bars", f"NEES {nees:.1f}, 4 expected"),
     ]

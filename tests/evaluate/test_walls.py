@@ -95,6 +95,16 @@ def test_figures_count_walls_near_true_ones_and_name_what_they_are_off_by():
     assert none["wall_distance_m"] is None and none["walls_false"] == 1
 
 
+def test_a_turned_wall_is_no_wall_found_however_near_it_is():
+    """A wall seen in one point lies near any other one that passes there."""
+    turned = BS + np.linalg.norm(WALL - BS) * np.array([np.cos(0.5), np.sin(0.5), 0.0])
+    found = walls(made([turned, WALL + np.array([0.1, 0, 0])], steps=1), BS, 1.5)
+    partner, distance, _ = wall_errors(found, landmarks(WALL), BS)
+    assert partner.tolist() == [-1, 1] and distance[1] == pytest.approx(0.05, abs=1e-6)
+    figures = wall_figures(walls(made([turned]), BS, 1.5), landmarks(WALL), radius=100.0)
+    assert (figures["walls_found"], figures["walls_false"]) == (0, 1)
+
+
 def test_true_walls_lie_where_the_true_track_sees_them():
     history = made([WALL])
     position = np.column_stack([history.mean[:, :2], np.full(history.steps, 1.5)])

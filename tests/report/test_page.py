@@ -46,7 +46,7 @@ def test_a_stranger_is_told_where_it_went_what_was_found_and_how_good_it_is(page
     summary = json.loads(page.with_name("summary.json").read_text(encoding="utf-8"))
     cards = re.findall(r"<div><b>([^<]*)</b><span>([^<]*)</span><i>([^<]*)</i></div>", text)
     told = {what: (figure, more) for figure, what, more in cards}
-    assert told["walls found"][0] == f"{summary['va_found']} of {summary['va_total']}"
+    assert told["walls found"][0] == f"{summary['walls_found']} of {summary['walls_total']}"
     assert told["position error"][0] == length_text(summary["position_rmse_m"])
     assert "4 expected" in told["its own error bars"][1]
     assert re.search(r"A receiver moved 5[0-9]\.\d\d m in 2\.5 s", text)  # 22.22 m/s
@@ -78,3 +78,25 @@ def test_the_replay_shows_a_step_without_errors(page, step, tmp_path):
     assert 'data-ready="yes"' in done.stdout, done.stderr[-2000:]
     assert f"step {step} of 6" in done.stdout
     assert "data-error" not in done.stdout and ":CONSOLE" not in done.stderr
+
+
+@pytest.mark.rt
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian's package chromium)")
+def test_the_receiver_is_in_the_picture_wherever_its_world_lies(tmp_path):
+    from dopslam.config.scenario import load
+
+    data, seen = tmp_path / "dataset.h5", {}
+    away = ["base_station.position=[500,300,40]", "track.start=[570.7,300,1.5708,300]"]
+    stages.simulate(data, load("ring_road", ["source.kind=model", "track.steps=30", *away]), 3)
+    stages.slam(data)
+    stages.bound(data)
+    stages.report(data, tmp_path, *stages.evaluate(data))
+    for step in (1, 20):
+        done = subprocess.run(
+            [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path / str(step)}", "--dump-dom",
+             f"{(tmp_path / 'report.html').as_uri()}#step={step}"],
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        seen[step] = [float(v) for v in re.search(r'data-receiver="([-.0-9]+) ([-.0-9]+)"', done.stdout).groups()]
+        assert max(map(abs, seen[step])) < 1
+    assert seen[1] != seen[20]  # it moves

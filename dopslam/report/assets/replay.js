@@ -45,6 +45,7 @@
   camera.position.set(center.x - 0.2 * far * size, center.y - 0.6 * far * size, center.z + 0.8 * far * size);
   const controls = new THREE.OrbitControls(camera, renderer.domElement);
   controls.target.copy(center);
+  controls.update(); // turns the camera there
   controls.addEventListener("change", draw);
 
   const group = {};
@@ -202,6 +203,9 @@
     state.step = Math.max(0, Math.min(steps - 1, step));
     slider.value = state.step;
     render(state.step);
+    camera.updateMatrixWorld();
+    const seen = new THREE.Vector3(...data.truth.position[state.step]).project(camera); // within ±1: in the picture
+    stage.dataset.receiver = seen.x.toFixed(3) + " " + seen.y.toFixed(3);
   }
   slider.max = steps - 1;
   slider.addEventListener("input", () => go(Number(slider.value)));
