@@ -34,16 +34,22 @@ def compile_filters(names: Sequence[str]) -> None:
         for doppler in (True, False):
             with contextlib.suppress(DopslamError):  # few steps may be too few for it; it is compiled by then
                 stages.slam(scenario, detections, name, doppler)
-        mark = _mark(name)
-        if mark is not None:
-            with contextlib.suppress(OSError):
-                mark.touch()
+        remember([name])
 
 
 def missing(names: Sequence[str]) -> list[str]:
     """Those of the filters that were never compiled here; none where nothing can be kept."""
     marks = {name: _mark(name) for name in names if ":" not in name}
     return [name for name, mark in marks.items() if mark is not None and not mark.exists()]
+
+
+def remember(names: Sequence[str]) -> None:
+    """Leave a mark that filters were compiled here."""
+    for name in missing(names):
+        mark = _mark(name)
+        if mark is not None:
+            with contextlib.suppress(OSError):
+                mark.touch()
 
 
 @contextlib.contextmanager
