@@ -28,7 +28,7 @@ _NAMES = dict.fromkeys(_VERBS, "api") | {
     "DopslamError": "errors",
 }  # fmt: skip
 _ROOMS = ("filters", "records", "errors", "formats", "config")
-__all__ = [*_NAMES, *_ROOMS, "__version__"]
+__all__ = [*_NAMES, *_ROOMS, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]  # the stub lists them
 
 
 class _Verb(ModuleType):

@@ -127,8 +127,8 @@ def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
     track, landmarks, paths = (records.get(name) for name in ("track", "landmarks", "paths"))
     found = misfits(records)
     yield from found
-    lacking = track is None or landmarks is None or paths is None or scenario is None
-    if not (found or lacking) and len(paths.landmark):
+    there = not found and scenario is not None
+    if there and track is not None and landmarks is not None and paths is not None and len(paths.landmark):
         yield from _geometry(track, landmarks, paths, np.array(scenario.base_station.position))
     for group, record in records.items():
         for name, what in plausible.faults(record):

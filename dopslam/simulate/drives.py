@@ -82,7 +82,7 @@ def surroundings(kind: Kind, places: Array, height: float, rng: np.random.Genera
         beyond = max((places @ normal[:2]).max(), bs @ normal) + rng.uniform(2.0, 0.5 * kind.extent)
         position.append(bs + 2 * (beyond - bs @ normal) * normal)
     for _ in range(objects):
-        position.append([*(middle + rng.uniform(-1, 1, 2) * kind.extent), rng.uniform(*kind.objects)])
+        position.append(np.array([*(middle + rng.uniform(-1, 1, 2) * kind.extent), rng.uniform(*kind.objects)]))
     what = np.array([BS] + walls * [VA] + objects * [SP])
     strength = np.where(what == BS, 45.0, np.where(what == VA, 38.0, 30.0)) + rng.uniform(-6, 6, len(what))
     where, ue = np.array(position), np.array([*middle, height])

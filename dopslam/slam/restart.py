@@ -136,9 +136,8 @@ def joined(old: Told, new: Told, scans: Scans, first: int) -> Told:
         return filled
 
     names = ("position", "position_covariance", "existence", "type_probability", "kind", "track")
-    parts.append(
-        History(history.mean, history.covariance, edges_of(counts).astype(np.int64), **{n: column(n) for n in names})
-    )
+    columns: dict[str, Any] = {name: column(name) for name in names}
+    parts.append(History(history.mean, history.covariance, edges_of(counts).astype(np.int64), **columns))
     return History.join(parts), _told(old[1], new[1], first, number, shift)
 
 

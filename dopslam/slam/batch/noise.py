@@ -45,7 +45,7 @@ class Scales:
         total = part.sum(axis=-1)
         return top[..., 0] + np.log(total), (part @ (1 / self.scale)) / total
 
-    def information(self, square: Array, rows: Array) -> Array:
+    def information(self, square: Array, rows: NDArray) -> Array:
         """(N,) information of each detection in units of R⁻¹, the mean over directions of the observed one (Louis 1982):
         E[1/s] − Var[1/s] d²/m under the probabilities of the scales given d².
 

@@ -251,7 +251,7 @@ def joint_update(prior: Density, seen: Seen, association: Array, local: Local, s
         parts = [stacked(mean, prior, b, setting, m) for _, _, b in pairs]
         h = np.vstack([rows for _, rows in parts])
         nu = np.concatenate([residual(seen.z[p], part[0]) for (p, _, _), part in zip(pairs, parts, strict=True)])
-        r = block_diag(*(seen.noise[p] for p, _, _ in pairs))
+        r = np.asarray(block_diag(*(seen.noise[p] for p, _, _ in pairs)))
         gain = np.asarray(np.linalg.solve(h @ prior.covariance @ h.T + r, h @ prior.covariance)).T
         mean = prior.mean + gain @ (nu - h @ (prior.mean - mean))
         covariance = prior.covariance - gain @ h @ prior.covariance
