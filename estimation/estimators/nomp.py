@@ -45,7 +45,8 @@ class Nomp:
     ----------
     model : the link
     false_alarm_rate : expected false paths per snapshot
-    max_delay : longest delay searched [s]; default: the unambiguous range
+    max_delay : longest delay searched [s]; default: the unambiguous range. Paths beyond it alias into it unseen; with a
+        shorter max_delay those between the two are found outside (:attr:`~estimation.Flag.EDGE_OF_VIEW`)
     max_speed : largest |radial velocity| searched [m/s]
     arrival_view, departure_view : directions searched, in the arrays' parent frames
     dynamic_range : several peaks are accepted in one pass only within this ratio of the strongest [dB];
