@@ -27,13 +27,14 @@ from dopslam.models.detection import (
 )
 from dopslam.models.motion import CoordinatedTurn, MotionModel
 from dopslam.models.pose import POSE, VELOCITY
+from dopslam.records import Kind
 
 Array = NDArray[np.float64]
 
 BS_TRACK = -1  # track number of the base station
 NO_TRACK = -2  # a measurement taken as new or clutter
 INERT = -1  # kind of a block that is kept for what hangs on it (`sleeping`)
-BIRTHS = 3  # kinds of landmarks that can be born: VA, SP, SR, in the order of their numbers
+BIRTHS = len(Kind) - 1  # kinds of landmarks that can be born, all but the BS, in the order of their numbers
 
 
 class PMB(NamedTuple):
@@ -248,7 +249,8 @@ def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, 
     """
     bs = np.asarray(bs, dtype=float)
     detection = parameters.detection
-    intensity = np.zeros(BIRTHS)
+    intensity, birth_intensity = np.zeros(BIRTHS), np.zeros(BIRTHS)
+    birth_intensity[: len(parameters.birth_intensity)] = parameters.birth_intensity
     intensity[: len(parameters.intensity)] = parameters.intensity
     if not parameters.joint:
         intensity[2:] = 0.0
@@ -269,7 +271,7 @@ def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, 
         gate=float(parameters.gate),
         survival=float(parameters.survival),
         intensity=intensity,
-        birth_intensity=np.array([*parameters.birth_intensity, 0.0], dtype=float),
+        birth_intensity=birth_intensity,
         thinning=bool(parameters.thinning),
         prune=float(parameters.prune),
         existence_limit=float(parameters.existence_limit),
