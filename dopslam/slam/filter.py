@@ -203,8 +203,7 @@ def run(
         whole = getattr(chosen, "run", None)
         return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
 
-    # A start from the scans alone needs a constant period.
-    if not problem.restart or scans.interval is not None:
+    if not problem.restart:
         history, told = go(problem, scans)
     else:
         history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
@@ -248,12 +247,7 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
     if scans.interval is not None and not able.intervals:
         raise FilterError(
             f"{name} steps by the period of the motion model, {problem.motion.interval:g} s, but the scans are "
-            f"{scans.interval.min():g} to {scans.interval.max():g} s apart; choose joint, smoother, marginal or bp, or resample"
-        )
-    if scans.interval is not None and problem.snapshot:
-        raise FilterError(
-            f"a start from the scans alone needs a constant period, but they are {scans.interval.min():g} to "
-            f'{scans.interval.max():g} s apart; give track.start and filter.start = "prior", or resample'
+            f"{scans.interval.min():g} to {scans.interval.max():g} s apart; choose joint, smoother, marginal, bp, batch or interval, or resample"
         )
 
 

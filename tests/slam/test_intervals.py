@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
+from dopslam.evaluate import metrics
 from dopslam.evaluate.bounds import pcrb
 from dopslam.filters import FILTERS
 from dopslam.models.motion import paced, propagate, transition_jacobian
 from dopslam.pipeline import problem as build
 from dopslam.simulate.world import draw_scans, section_v
 from dopslam.slam.filter import Capabilities, run
+from dopslam.slam.snapshot.start import start
 
 PACE = np.array([1, 0.4, 0.4, 3.0, 1, 0.2, 2.5, 1, 1, 0.7, 0.3, 4.0, 1, 0.5, 2.0, 1, 1, 0.6, 1.4, 1])
 
@@ -33,7 +35,7 @@ def off(history, states):
     return np.linalg.norm(history.mean[:, :2] - states[:, :2], axis=1)
 
 
-@pytest.mark.parametrize("name", ["joint", "marginal", "smoother", "mixture", "bp"])
+@pytest.mark.parametrize("name", ["joint", "marginal", "smoother", "mixture", "bp", "batch", "interval"])
 def test_filters_step_by_the_time_stamps(drive, name):
     situation, states, scans = drive
     problem, chosen = build.told(situation), FILTERS[name]()
@@ -107,5 +109,15 @@ def test_a_filter_that_knows_one_period_only_is_refused_by_name(drive):
         FilterError, match=r"Mine steps by the period .* 0.5 s, but the scans are 0.1 to 2 s apart; choose"
     ):
         run(build.told(situation), scans, Mine())
-    with pytest.raises(FilterError, match="start from the scans alone needs a constant period"):
-        run(replace(build.told(situation), snapshot=True), scans, FILTERS["joint"]())
+
+
+def test_the_start_is_found_from_irregular_scans(drive):
+    situation, states, scans = drive
+    told = replace(build.told(situation), snapshot=True)
+    found = start(scans, told.motion, told.anchor, told.height)
+    assert np.linalg.norm(found.chain.mean[:, :2] - states[:, :2], axis=1).max() < 8.0
+    error = metrics.state_errors(found.mean[None], situation.prior_mean[None])[0]
+    assert error @ np.linalg.solve(found.covariance + situation.prior_covariance, error) < 30.0
+    for name in ("joint", "batch"):
+        history, _ = run(told, scans, FILTERS[name]())
+        assert off(history, states)[8:].max() < 2.5

@@ -51,7 +51,7 @@ class Batch(Rerun):
     rounds : most rounds of association
     """
 
-    capabilities = Capabilities(states=(4, 6), whole_run=True)
+    capabilities = Capabilities(states=(4, 6), whole_run=True, intervals=True)
     largest_order: ClassVar[int | None] = 1
 
     doppler: bool = True
@@ -70,14 +70,14 @@ class Batch(Rerun):
         FilterError
             If neither the filter nor the snapshots give a start.
         """
-        motion = problem.motion
+        motion, pace = problem.motion, scans.pace(problem.motion.interval)
         data = rows_of(scans, problem.stations.position, problem.height, motion.speed, doppler=self.doppler)
         information = np.asarray(np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension)), float)
         if problem.snapshot:
             information[:POSE], information[:, :POSE] = 0.0, 0.0
         choices, result, failure = Choices(self.rounds), None, None
         if not problem.snapshot:
-            chain = Chain(motion, np.asarray(problem.mean, float), information)
+            chain = Chain(motion, np.asarray(problem.mean, float), information, pace)
             try:
                 state, covariance, found = _filtered(problem, scans, rng, self.doppler)
                 result = smooth(data, chain, state, covariance, choices, found)
@@ -87,7 +87,7 @@ class Batch(Rerun):
             try:
                 state, covariance = _located(problem, scans, self.doppler)
                 mean = state[0] if problem.snapshot else problem.mean
-                chain = Chain(motion, np.asarray(mean, float), information)
+                chain = Chain(motion, np.asarray(mean, float), information, pace)
                 others = [smooth(data, chain, state, covariance, choices)]
                 if np.mean(others[0].owner >= 0) < PLENTY:
                     others.append(grow(data, chain, state, covariance, choices, _locator(problem, scans, self.doppler)))

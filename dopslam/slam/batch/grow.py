@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
-from dopslam.models.motion import propagate, transition_jacobian
+from dopslam.models.paces import propagate, transition_jacobian
 from dopslam.slam.batch.landmarks import Belief, explain
 from dopslam.slam.batch.noise import GIVEN
 from dopslam.slam.batch.rows import Rows, part
@@ -84,7 +84,8 @@ def _smoothed(
     data: Rows, chain: Chain, low: int, high: int, state: Array, covariance: Array, choices: Choices, found=None
 ):
     """Scans low … high − 1 smoothed from states (high − low + 1, n), the first one step before."""
-    own = chain if low == 0 else replace(chain, mean=state[0], information=_extra(chain))
+    own = replace(chain, pace=chain.pace[low:high])
+    own = own if low == 0 else replace(own, mean=state[0], information=_extra(chain))
     return smooth(part(data, low, high), own, state, covariance, choices, found)
 
 
@@ -103,9 +104,10 @@ def _longer(data: Rows, chain: Chain, stretch: Stretch, choices: Choices, locate
     low, high = stretch.low, stretch.high
     for _ in range(AGAIN):
         if high < data.steps:
-            jacobian = transition_jacobian(state[-1], chain.motion)
-            mean = propagate(state[-1], chain.motion)
-            spread = jacobian @ covariance[-1] @ jacobian.T + chain.motion.process_noise
+            pace = chain.pace[high]
+            jacobian = transition_jacobian(state[-1], chain.motion, pace)
+            mean = propagate(state[-1], chain.motion, pace)
+            spread = jacobian @ covariance[-1] @ jacobian.T + chain.motion.paced(pace).process_noise
             mean, spread = _best(data, stretch, high, *locate(high, mean, spread), mean, spread)
             state.append(mean)
             covariance.append(spread)
@@ -114,11 +116,12 @@ def _longer(data: Rows, chain: Chain, stretch: Stretch, choices: Choices, locate
             mean, spread = _best(
                 data, stretch, low - 1, *locate(low - 1, state[0], covariance[0]), state[0], covariance[0]
             )
-            back = np.linalg.inv(transition_jacobian(mean, chain.motion))
-            earlier = mean - (propagate(mean, chain.motion) - mean)
+            pace = chain.pace[low - 1]
+            back = np.linalg.inv(transition_jacobian(mean, chain.motion, pace))
+            earlier = mean - (propagate(mean, chain.motion, pace) - mean)
             state[0], covariance[0] = mean, spread
             state.insert(0, earlier)
-            covariance.insert(0, back @ (spread + chain.motion.process_noise) @ back.T)
+            covariance.insert(0, back @ (spread + chain.motion.paced(pace).process_noise) @ back.T)
             low -= 1
     rounds = choices.rounds if (low, high) == (0, data.steps) else min(3, choices.rounds)
     found = estimate.found.take(slice(base, None))

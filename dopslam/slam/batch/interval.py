@@ -36,7 +36,7 @@ class Interval(Rerun):
     confirmed : existence at its end from which a landmark's detections are used
     """
 
-    capabilities = Capabilities(states=(4, 6), whole_run=True)
+    capabilities = Capabilities(states=(4, 6), whole_run=True, intervals=True)
     largest_order: ClassVar[int | None] = 1
 
     doppler: bool = True
@@ -53,7 +53,7 @@ class Interval(Rerun):
         data = rows_of(scans, problem.stations.position, problem.height, problem.motion.speed, doppler=self.doppler)
         found, owner = _mapped(only_stations(data), history, diagnostics, self.confirmed)
         information = np.asarray(np.linalg.inv(problem.covariance + KNOWN * np.eye(problem.motion.dimension)), float)
-        chain = Chain(problem.motion, np.asarray(problem.mean, float), information)
+        chain = Chain(problem.motion, np.asarray(problem.mean, float), information, scans.pace(problem.motion.interval))
         estimate = optimize(data, chain, GIVEN, owner, np.vstack([problem.mean, history.mean]), found)
         result = Smoothed(estimate, owner, np.full(len(found), 50.0), GIVEN, -estimate.cost, 1)
         return history_of(data, result), diagnostics_of(data, result)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.models.measurement import wrap
-from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
+from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.paces import noises, propagate, transition_jacobian
 from dopslam.slam.batch.front import Normal, Plan, Solution, plan, solve
 from dopslam.slam.batch.landmarks import holds
 from dopslam.slam.batch.noise import Scales
@@ -36,11 +37,13 @@ class Chain:
     motion : CoordinatedTurn
     mean : (n,) array; prior of the state one step before the first scan
     information : (n, n) array; its inverse covariance, zero where nothing is known
+    pace : (K,) array; time since the scan before, of the first since the prior, in periods of the motion model
     """
 
     motion: CoordinatedTurn
     mean: Array
     information: Array
+    pace: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,15 +101,17 @@ def sights(data: Rows, owner: Index, found: Map, dimension: int) -> Sight:
 
 def _differences(chain: Chain, state: Array) -> tuple[Array, Array]:
     """Residuals of the motion (K, n) and of the prior (n,), headings wrapped."""
-    moved = state[1:] - propagate(state[:-1], chain.motion)
+    moved = state[1:] - propagate(state[:-1], chain.motion, chain.pace)
     start = state[0] - chain.mean
     moved[:, HEADING], start[HEADING] = wrap(moved[:, HEADING]), wrap(start[HEADING])
     return moved, start
 
 
 def _weight(chain: Chain) -> Array:
-    n = chain.motion.dimension
-    return np.asarray(np.linalg.inv(chain.motion.process_noise + KNOWN * np.eye(n)), float)
+    """(K, n, n) inverse covariances of the steps."""
+    values, which = np.unique(chain.pace, return_inverse=True)
+    known = KNOWN * np.eye(chain.motion.dimension)
+    return np.linalg.inv(noises(chain.motion, values) + known)[which]
 
 
 def _residuals(data: Rows, sight: Sight, state: Array, found: Map, owner: Index):
@@ -117,7 +122,7 @@ def _residuals(data: Rows, sight: Sight, state: Array, found: Map, owner: Index)
 def _cost(data: Rows, sight: Sight, chain: Chain, noise: Scales, state: Array, error: Array) -> float:
     moved, start = _differences(chain, state)
     density, _ = noise.weigh(np.sum(error**2, axis=1), sight.count)
-    tied = np.einsum("ki,ij,kj->", moved, _weight(chain), moved) + start @ chain.information @ start
+    tied = np.einsum("ki,kij,kj->", moved, _weight(chain), moved) + start @ chain.information @ start
     return float(0.5 * tied - density.sum())
 
 
@@ -136,12 +141,12 @@ def _normal(data: Rows, sight: Sight, chain: Chain, state: Array, linear, error:
     np.add.at(point, sight.owner[seen], (np.swapaxes(scaled_point, 1, 2) @ by_point)[seen])
     np.add.at(vector, sight.owner[seen], np.einsum("mij,mi->mj", scaled_point, error)[seen])
     moved, start = _differences(chain, state)
-    jacobian, q = transition_jacobian(state[:-1], chain.motion), _weight(chain)
+    jacobian, q = transition_jacobian(state[:-1], chain.motion, chain.pace), _weight(chain)
     back = np.swapaxes(jacobian, 1, 2) @ q
     pose[:-1] += back @ jacobian
     pose[1:] += q
     by_pose[:-1] += np.einsum("kij,kj->ki", back, moved)
-    by_pose[1:] -= moved @ q
+    by_pose[1:] -= np.einsum("kij,kj->ki", q, moved)
     pose[0] += chain.information
     by_pose[0] -= chain.information @ start
     return Normal(pose, -back, point, left @ by_point, sight.owner, sight.offsets, by_pose, vector)

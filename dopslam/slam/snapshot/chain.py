@@ -7,7 +7,7 @@ of calling all its paths clutter. A smoother over the chosen modes gives the tra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,16 +69,16 @@ def _log_normal(difference: Array, covariance: Array) -> Array:
     return -0.5 * (np.sum(solved * difference, axis=-1) + np.linalg.slogdet(covariance)[1] + 4 * np.log(2 * np.pi))
 
 
-def _predictions(modes: Modes, walk: Walk, count: int):
-    """Means (M, 4) and covariances (M, 4, 4) of the modes 1 … count scans later."""
+def _predictions(modes: Modes, walks: Sequence[Walk]):
+    """Means (M, 4) and covariances (M, 4, 4) of the modes after each of the walks to the scans that follow."""
     mean, covariance = modes.pose, modes.covariance
-    for _ in range(count):
+    for walk in walks:
         mean, jacobian = walk.step(mean)
         covariance = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2) + walk.noise
         yield mean, covariance
 
 
-def chain(found: list[Modes], passing: Array, walk: Walk) -> Chain:
+def chain(found: list[Modes], passing: Array, walks: Sequence[Walk]) -> Chain:
     """Join the modes of K scans.
 
     Parameters
@@ -86,7 +86,7 @@ def chain(found: list[Modes], passing: Array, walk: Walk) -> Chain:
     found : K records of modes, perhaps empty
     passing : (K,) array
         log likelihood of each scan if all its paths are clutter.
-    walk : Walk
+    walks : K of them; k leads to scan k from the one before
 
     Raises
     ------
@@ -102,7 +102,7 @@ def chain(found: list[Modes], passing: Array, walk: Walk) -> Chain:
     passed = np.concatenate([[0.0], np.cumsum(passing)])
     links = {}
     for k in range(steps):
-        for gap, prediction in enumerate(_predictions(found[k], walk, min(REACH + 1, steps - 1 - k)), start=1):
+        for gap, prediction in enumerate(_predictions(found[k], walks[k + 1 : k + 2 + REACH]), start=1):
             later = found[k + gap]
             if len(found[k]) and len(later):
                 mean, covariance = prediction
@@ -133,7 +133,7 @@ def chain(found: list[Modes], passing: Array, walk: Walk) -> Chain:
     margin = np.array([
         evidence - np.delete(t, c if c >= 0 else []).max(initial=-np.inf) for t, c in zip(total, chosen, strict=True)
     ])  # fmt: skip
-    return Chain(chosen, evidence, margin, *smooth(found, chosen, walk))
+    return Chain(chosen, evidence, margin, *smooth(found, chosen, walks))
 
 
 def before(mean: Array, covariance: Array, walk: Walk) -> tuple[Array, Array]:
@@ -146,7 +146,7 @@ def before(mean: Array, covariance: Array, walk: Walk) -> tuple[Array, Array]:
     return earlier, back @ (covariance + walk.noise) @ back.T
 
 
-def smooth(found: list[Modes], chosen: NDArray[np.int64], walk: Walk) -> tuple[Array, Array]:
+def smooth(found: list[Modes], chosen: NDArray[np.int64], walks: Sequence[Walk]) -> tuple[Array, Array]:
     """Means (K, 4) and covariances (K, 4, 4) of the pose at every scan given all chosen modes (Rauch-Tung-Striebel)."""
     steps, used = len(found), np.flatnonzero(chosen >= 0)
     mean, covariance = np.empty((steps, 4)), np.empty((steps, 4, 4))
@@ -154,9 +154,9 @@ def smooth(found: list[Modes], chosen: NDArray[np.int64], walk: Walk) -> tuple[A
     first = int(used[0])
     for k in range(first, steps):
         if k > first:
-            step, jacobian = walk.step(mean[k - 1][None])
+            step, jacobian = walks[k].step(mean[k - 1][None])
             predicted_mean[k], moved[k] = step[0], jacobian[0] @ covariance[k - 1]
-            predicted[k] = moved[k] @ jacobian[0].T + walk.noise
+            predicted[k] = moved[k] @ jacobian[0].T + walks[k].noise
             mean[k], covariance[k] = predicted_mean[k], predicted[k]
         if chosen[k] < 0:
             continue
@@ -176,5 +176,5 @@ def smooth(found: list[Modes], chosen: NDArray[np.int64], walk: Walk) -> tuple[A
         mean[k - 1] = mean[k - 1] + gain @ change
         covariance[k - 1] += gain @ (covariance[k] - predicted[k]) @ gain.T
     for k in range(first, 0, -1):
-        mean[k - 1], covariance[k - 1] = before(mean[k], covariance[k], walk)
+        mean[k - 1], covariance[k - 1] = before(mean[k], covariance[k], walks[k])
     return mean, 0.5 * (covariance + np.swapaxes(covariance, 1, 2))

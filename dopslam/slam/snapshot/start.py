@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.models import unmeasured
-from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian
+from dopslam.models.motion import CoordinatedTurn, paced, propagate, transition_jacobian
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam.snapshot.candidates import Prior
@@ -153,13 +153,15 @@ def start(
     planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance)) if planar is None else planar
     n = motion.dimension
     mean, covariance = prior if prior is not None else (np.zeros(n), 100.0 * np.eye(n))
-    walk = walk_of(motion, mean, covariance)
+    pace = scans.pace(motion.interval)
+    of_pace = {p: walk_of(paced(motion, p), mean, covariance) for p in set(pace.tolist())}
+    walks = [of_pace[p] for p in pace.tolist()]
     found = [find_modes(rays_of(scans, k, anchors, height, planar, doppler), None, search) for k in range(scans.steps)]
-    joined = chain(found, passing(scans, search), walk)
-    first, _ = before(joined.mean[0], joined.covariance[0], walk)
+    joined = chain(found, passing(scans, search), walks)
+    first, _ = before(joined.mean[0], joined.covariance[0], walks[0])
     used = np.flatnonzero(joined.chosen >= 0)
     alone = found[used[0]].covariance[joined.chosen[used[0]]]
-    for _ in range(int(used[0]) + 1):
+    for walk in walks[int(used[0]) :: -1]:
         alone = before(first, alone, walk)[1]
     whole_mean, whole = np.array(mean, float), np.array(covariance, float)
     whole_mean[:4] = first

@@ -34,7 +34,7 @@ def case(seed, steps=16, doppler_std=0.1):
     start = np.vstack([mean, truth + rng.standard_normal(truth.shape) * STD])
     covariance = np.tile(np.diag(STD**2), (steps + 1, 1, 1))
     data = rows_of(scans, world.bs, world.height, world.motion.speed)
-    chain = Chain(world.motion, mean, np.linalg.inv(world.prior_covariance))
+    chain = Chain(world.motion, mean, np.linalg.inv(world.prior_covariance), np.ones(data.steps))
     return Case(world, truth, scans, data, chain, start, covariance)
 
 

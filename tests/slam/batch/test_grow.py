@@ -22,7 +22,7 @@ def test_a_track_grows_over_what_the_snapshots_lost():
     drive = case(7, steps=20)
     state = drive.state.copy()
     state[11:] += np.array([60.0, -80.0, 2.0, 40.0])  # confidently wrong
-    chain = Chain(drive.chain.motion, state[0], np.zeros((4, 4)))
+    chain = Chain(drive.chain.motion, state[0], np.zeros((4, 4)), drive.chain.pace)
     rng = np.random.default_rng(0)
 
     def locate(step, mean, covariance):

@@ -46,7 +46,7 @@ def test_viterbi_against_enumeration():
             value += _log_normal(other - mean, covariance + found[late].covariance[[path[late]]])[0]
         if used and value > best:
             best, winner = value, path
-    joined = chain(found, passing, WALK)
+    joined = chain(found, passing, [WALK] * len(found))
     assert joined.evidence == pytest.approx(best)
     np.testing.assert_array_equal(joined.chosen, winner)
 
@@ -59,7 +59,7 @@ def test_the_track_wins_over_better_looking_strangers_and_gaps():
         stranger = rng.uniform(-30, 30, 4)
         found.append(modes_at(np.array([stranger, state]), rng, [4.0, 0.0]) if k not in (3, 4) else no_modes(2))
     found[7] = modes_at(rng.uniform(-30, 30, (1, 4)), rng, [4.0])
-    joined = chain(found, np.full(12, -3.0), WALK)
+    joined = chain(found, np.full(12, -3.0), [WALK] * 12)
     np.testing.assert_array_equal(joined.chosen, [1, 1, 1, -1, -1, 1, 1, -1, 1, 1, 1, 1])
     error = joined.mean - states
     assert np.abs(error).max() < 0.8
@@ -72,7 +72,7 @@ def test_smoothing_is_the_dense_least_squares():
     walk = walk_of(motion, np.zeros(4), np.eye(4))
     rng = np.random.default_rng(6)
     found = [modes_at(rng.normal(size=(1, 4)) * 0.1, rng, [0.0]) for _ in range(5)]
-    joined = chain(found, np.full(5, -100.0), walk)
+    joined = chain(found, np.full(5, -100.0), [walk] * 5)
     information, vector = np.zeros((20, 20)), np.zeros(20)
     for k in range(5):
         at = slice(4 * k, 4 * k + 4)
@@ -93,7 +93,7 @@ def test_smoothing_is_the_dense_least_squares():
 
 def test_no_mode_anywhere_is_one_clear_sentence():
     with pytest.raises(FilterError, match="no scan has enough paths"):
-        chain([no_modes(1), no_modes(0)], np.zeros(2), WALK)
+        chain([no_modes(1), no_modes(0)], np.zeros(2), [WALK] * 2)
 
 
 def test_paper_a_is_started_from_nothing():
