@@ -127,9 +127,9 @@ def _physics(records: dict, scenario) -> Iterator[tuple[str, str]]:
     track, landmarks, paths = (records.get(name) for name in ("track", "landmarks", "paths"))
     found = misfits(records)
     yield from found
-    there = not found and scenario is not None
-    if there and track is not None and landmarks is not None and paths is not None and len(paths.landmark):
-        yield from _geometry(track, landmarks, paths, np.array(scenario.base_station.position))
+    station = None if found or scenario is None else np.array(scenario.base_station.position)
+    if station is not None and track is not None and landmarks is not None and paths is not None:
+        yield from _geometry(track, landmarks, paths, station) if len(paths.landmark) else ()
     for group, record in records.items():
         for name, what in plausible.faults(record):
             yield f"{group}/{name}", what

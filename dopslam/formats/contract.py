@@ -50,6 +50,7 @@ class Writer(Format, Protocol):
 
     def write(self, parts: list[Part], out: Path) -> None:
         """A dataset into a new folder."""
+        ...
 
 
 @runtime_checkable
@@ -58,6 +59,7 @@ class Reader(Format, Protocol):
 
     def read(self, path: Path, mapping: Path | None) -> Opened:
         """Open a file; `mapping` is one that says what its columns mean, if it was given."""
+        ...
 
 
 def writer(name: str, **options: Any) -> Writer:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from dopslam.errors import FilterError
-from dopslam.models.motion import CoordinatedTurn, paced, propagate, transition_jacobian
+from dopslam.models.motion import MotionModel, paced, propagate, transition_jacobian
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
 
 SIGMAS = 5.0  # of the beginning: margin below it
@@ -29,7 +29,7 @@ MOST = 1 / 4  # of the range: a larger margin says no longer which turn a delay 
 def unwrapped(
     detections: DetectionSeries,
     prior: tuple[np.ndarray, np.ndarray],
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     station: np.ndarray,
     height: float,
 ) -> DetectionSeries:

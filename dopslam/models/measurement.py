@@ -154,7 +154,7 @@ def jacobians(
     pose, by_array = _posed(where, speed, height)
     arrival = paths.landmarks_of(bs, landmark, kind) - pose.position
     shape = np.broadcast_shapes(arrival.shape[:-1], np.shape(kind))
-    path, slope = (law(pose.position, bs, landmark, kind) for law in (paths.paths, paths.slopes))
+    path, slope = paths.paths(pose.position, bs, landmark, kind), paths.slopes(pose.position, bs, landmark, kind)
     distance = np.linalg.norm(arrival, axis=-1)[..., None]
     q = arrival / distance
     velocity = np.broadcast_to(pose.velocity, q.shape)

@@ -24,7 +24,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,24 +68,31 @@ class MotionModel(Protocol):
 
     def step(self, state: Array) -> Array:
         """Noise-free state (..., n) one step later."""
+        ...
 
     def jacobian(self, state: Array) -> Array:
         """∂step/∂s (..., n, n)."""
+        ...
 
     def pose(self, state: Array, height: float = 0.0) -> Pose:
         """The pose that is measured, in a plane of some height [m]."""
+        ...
 
     def pose_jacobian(self, state: Array) -> Array:
         """∂pose/∂s (..., 8, n)."""
+        ...
 
     def paced(self, pace: float) -> MotionModel:
         """The motion over another time, in steps."""
+        ...
 
     def prior(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n) of the start, from those of its pose (4,), (4, 4)."""
+        ...
 
     def truth(self, track: Track) -> tuple[Array, Array]:
         """States (K, n) of a true track and its start (n,), for bounds."""
+        ...
 
 
 class Motion:
@@ -93,8 +100,8 @@ class Motion:
 
     __slots__ = ()
 
-    names: ClassVar[tuple[str, ...]] = POSE
-    doppler: ClassVar[bool] = True
+    names = POSE
+    doppler = True
     interval: float
     process_noise: Array
 
@@ -262,7 +269,7 @@ class CoordinatedTurn(Motion):
         if self.dimension == KNOWN_MOTION:
             return mean, covariance
         extra = np.diag(np.square(self.spread))
-        return np.append(mean, [self.speed, self.turn_rate]), block_diag(covariance, extra)
+        return np.append(mean, [self.speed, self.turn_rate]), np.asarray(block_diag(covariance, extra))
 
     def truth(self, track: Track) -> tuple[Array, Array]:
         """States of a track and its start, with the speed along the heading and the rate of turn where they are states."""
@@ -282,7 +289,7 @@ class Walk(CoordinatedTurn):
 
     __slots__ = ()
 
-    doppler: ClassVar[bool] = False
+    doppler = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -351,7 +358,7 @@ def unknown(
     speed_std: float, turn_rate_std: float, speed_walk: float, turn_rate_walk: float,
 ) -> CoordinatedTurn:  # fmt: skip
     """Coordinated turn with speed and turn rate in the state, where they walk from step to step."""
-    noise = block_diag(pose_noise, np.diag(np.square([speed_walk, turn_rate_walk])))
+    noise = np.asarray(block_diag(pose_noise, np.diag(np.square([speed_walk, turn_rate_walk]))))
     return CoordinatedTurn(interval, noise, speed, turn_rate, (speed_std, turn_rate_std))
 
 

@@ -70,15 +70,19 @@ class PathModel(Protocol):
 
     def path(self, p: Array, anchor: Array, x: Array) -> Path:
         """Length, departure and existence; all arguments (..., 3) [m]."""
+        ...
 
     def slopes(self, p: Array, anchor: Array, x: Array) -> Slopes:
         """Their derivatives."""
+        ...
 
     def place(self, p: Array, anchor: Array, length: Array, arrival: Array, departure: Array) -> Array:
         """The landmark (..., 3) of a path of some length [m] with unit vectors of arrival and departure."""
+        ...
 
     def loss(self, p: Array, anchor: Array, x: Array) -> Array:
         """Geometric spreading loss of its power, up to a constant."""
+        ...
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -28,7 +28,7 @@ class Told(NamedTuple):
     """Of K steps and L landmarks: R (K, L, 6, 6), probability of detection or what was detected (K, L), and ρ (K, L) or None."""
 
     covariance: Array
-    probability: Array
+    probability: NDArray
     snr: Array | None
 
 
@@ -48,12 +48,15 @@ class Noise(Protocol):
 
     def of(self, ue: Array, bs: Array, position: Array, kind: NDArray[np.int64]) -> Told:
         """Along receivers (K, 1, 3), a base station (3,) and landmarks (L, 3) of kinds (L,)."""
+        ...
 
     def detect(self, rng: np.random.Generator, told: Told) -> Told:
         """What was detected, with the R and ρ that an estimator would report."""
+        ...
 
     def false(self, rng: np.random.Generator, count: int, like: Array) -> tuple[Array, Array]:
         """R (count, 6, 6) and ρ (count,) of false detections; `like` is the first landmark's R."""
+        ...
 
 
 class _Bernoulli:

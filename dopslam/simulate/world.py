@@ -8,6 +8,7 @@ studied. Its noise is one of the kinds of :mod:`dopslam.simulate.noise`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +98,7 @@ def unknown_motion(
     rate_walk: float = 0.002,
 ) -> Situation:
     """The same world with speed and turn rate unknown and walking (per step): a six-state UE."""
-    known = situation.motion
+    known: Any = situation.motion  # a coordinated turn, whose speed and turn rate become states
     motion = unknown(
         known.interval, known.process_noise, known.speed, known.turn_rate, speed_std, rate_std, speed_walk, rate_walk
     )

@@ -52,7 +52,8 @@ class Belief:
 
     def setup(self, problem: Problem) -> Setup:
         """Choices and problem as belief propagation reads them."""
-        motion, detection = problem.motion, problem.detection
+        motion: Any = problem.motion  # a coordinated turn: it takes four states alone
+        detection = problem.detection
         return Setup(
             anchor=problem.anchor,
             height=problem.height,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.errors import FilterError
 from dopslam.models.kernels import move_state
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import MotionModel
 from dopslam.models.scans import Scans
 from dopslam.slam.history import COLUMNS, Diagnostics, History, history_of, write_map
 from dopslam.slam.pmb.birth import new_hypotheses
@@ -339,7 +339,7 @@ def check_inputs(scans: Scans, parameters: FilterParameters, model: Model, mean:
 def run(
     scans: Scans,
     prior: tuple[Array, Array],
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     bs: Array,
     parameters: FilterParameters | None = None,
     height: float = 0.0,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled
 from dopslam.errors import FilterError
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import MotionModel
 from dopslam.models.scans import Scans
 from dopslam.slam.history import Diagnostics, History, history_of, map_table
 from dopslam.slam.pmb.birth import new_hypotheses
@@ -116,7 +116,7 @@ def merged(mixture: list[Hypothesis]) -> PMB:
 def run(
     scans: Scans,
     prior: tuple[Array, Array],
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     bs: Array,
     parameters: FilterParameters | None = None,
     height: float = 0.0,

@@ -18,7 +18,7 @@ from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, take
 from dopslam.errors import FilterError
 from dopslam.models.kernels import move_state
 from dopslam.models.measurement import BS, SR, seen_noise
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import MotionModel
 from dopslam.models.scans import Scans
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb import ek_pmb
@@ -246,7 +246,7 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
 def run(
     scans: Scans,
     prior: tuple[Array, Array],
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     bs: Array,
     parameters: FilterParameters | None = None,
     height: float = 0.0,
