@@ -341,11 +341,12 @@ def propagate_state(state, interval, speed, rate, jacobian):
 
 
 @compiled
-def move_state(state, site, model, pace, jacobian):
-    """The predicted state over `pace` periods, and F into `jacobian`: eq. (1), or as any other motion model left them."""
+def move_state(state, site, interval, turn_rate, jacobian):
+    """The predicted state, and F into `jacobian`: eq. (1) over `interval`, or what another motion model left as the seventh
+    and eighth entry of the site."""
     if len(site) == 5:
-        return propagate_state(state, model.interval * pace, site[4], model.turn_rate, jacobian)
+        return propagate_state(state, interval, site[4], turn_rate, jacobian)
     for i in range(state.shape[0]):
         for j in range(state.shape[0]):
-            jacobian[i, j] = model.transition[i, j]
-    return model.moved.copy()
+            jacobian[i, j] = site[7][i, j]
+    return site[6].copy()

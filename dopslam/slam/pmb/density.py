@@ -99,8 +99,6 @@ class Model(NamedTuple):
     interval: float
     turn_rate: float
     process_noise: Array
-    moved: Array
-    transition: Array
     joint: bool
     iterations: int
     cubature: bool
@@ -261,8 +259,6 @@ def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, 
         interval=float(motion.interval),
         turn_rate=float(turn.turn_rate) if turn else 0.0,
         process_noise=np.array(motion.process_noise, dtype=float, order="C"),
-        moved=np.zeros(0),
-        transition=np.zeros((0, 0)),
         joint=bool(parameters.joint),
         iterations=int(parameters.iterations),
         cubature=bool(parameters.cubature),
@@ -299,11 +295,11 @@ def predicted(model: Model, motion: MotionModel, state: Array) -> Model:
     moved = np.ascontiguousarray(motion.step(state), dtype=float)
     by_velocity = motion.pose_jacobian(moved)[VELOCITY]
     velocity = motion.pose(moved).velocity
+    course = np.column_stack([by_velocity, velocity - by_velocity @ moved])
+    transition = np.ascontiguousarray(motion.jacobian(state), dtype=float)
     return model._replace(
-        site=(*model.site[:5], np.column_stack([by_velocity, velocity - by_velocity @ moved])),
+        site=(*model.site[:5], course, moved, transition),
         process_noise=np.array(motion.process_noise, dtype=float, order="C"),
-        moved=moved,
-        transition=np.ascontiguousarray(motion.jacobian(state), dtype=float),
     )
 
 

@@ -98,7 +98,7 @@ def predict(density, model, pace):
     jacobian = np.empty((n, n))
     mean = density.mean.copy()
     covariance = density.covariance.copy()
-    moved_state = move_state(density.mean[:n], model.site, model, pace, jacobian)
+    moved_state = move_state(density.mean[:n], model.site, model.interval * pace, model.turn_rate, jacobian)
     copy_vector(moved_state, mean)
     moved = np.zeros((n, size))
     for i in range(n):

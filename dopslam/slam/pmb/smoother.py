@@ -176,7 +176,7 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
         for row in range(offsets[k], offsets[k + 1]):  # a measurement that bore a track bears its number
             born = chosen[row] == NO_TRACK and find(track[low:high], row) >= 0
             named[row] = row if born else chosen[row]
-        moved = move_state(states[-1], model.site, model, pace[k], jacobian)
+        moved = move_state(states[-1], model.site, model.interval * pace[k], model.turn_rate, jacobian)
         states = enlarge(states, states.shape[0] + 1, n)
         copy_vector(moved, states[-1])
         wanted = candidates(

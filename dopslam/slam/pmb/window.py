@@ -41,7 +41,7 @@ def add_motion(information, gradient, at, state, following, weight, pace, model,
     """
     n = state.shape[0]
     jacobian, tied = np.empty((n, n)), np.zeros((n, n))
-    predicted = move_state(state, model.site, model, pace, jacobian)
+    predicted = move_state(state, model.site, model.interval * pace, model.turn_rate, jacobian)
     cost = 0.0
     for a in range(n):
         pull = 0.0
