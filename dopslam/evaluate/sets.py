@@ -133,7 +133,8 @@ def _assignment(cost: Array, penalty: float) -> tuple[Array, float]:
     )
     if found.status != 0 or found.x is None:
         raise DopslamError(f"trajectory_gospa: the linear program was not solved ({found.message})")
-    return found.x[: size * steps].reshape(cost.shape), float(found.x[size * steps :].sum())
+    x = np.asarray(found.x)
+    return x[: size * steps].reshape(cost.shape), float(x[size * steps :].sum())
 
 
 def _blocks(matrix, count: int):

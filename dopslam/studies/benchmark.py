@@ -74,7 +74,8 @@ def crowded(landmarks: int, detections: int | None = None, seed: int = 0) -> Sit
 def dense_scene() -> Situation:
     """8 VAs and 20 SPs; SPs seen within 50 m."""
     world = crowded(28)
-    return replace(world, noise=replace(section_v().noise, sp_range=50.0))
+    noise: Any = section_v().noise
+    return replace(world, noise=replace(noise, sp_range=50.0))
 
 
 STEPS = 12  # of the runs that growth is measured on: enough to fill the map

@@ -83,6 +83,7 @@ def association_table(runs: int, seed: int, jobs: int, joint: bool = False) -> l
 def motion_studies(runs: int, seed: int, jobs: int) -> dict[str, dict[str, Any]]:
     """Speed and turn rate unknown; a 2 % error in a speed believed known, beside one that is estimated."""
     truth = section_v(0.1)
+    motion: Any = truth.motion
     six = unknown_motion(truth)
     lively = unknown_motion(truth, speed_walk=0.5, rate_walk=0.02)
     off, joint = np.array([1, 1, 1, 1, 1.02, 1]), Joint(iterations=2)
@@ -90,7 +91,7 @@ def motion_studies(runs: int, seed: int, jobs: int) -> dict[str, dict[str, Any]]
         "unknown motion, joint": Study(six, joint),
         "unknown motion, livelier walk, smoother": Study(lively, Smoother(iterations=2)),
         "speed 2 % wrong, believed known": Study(
-            truth, joint, replace(told(truth), motion=replace(truth.motion, speed=1.02 * truth.motion.speed))
+            truth, joint, replace(told(truth), motion=replace(motion, speed=1.02 * motion.speed))
         ),
         "speed 2 % wrong, in the state": Study(truth, joint, replace(told(six), mean=six.prior_mean * off)),
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.models.measurement import wrap
-from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.motion import MotionModel
 from dopslam.models.paces import noises, propagate, transition_jacobian
 from dopslam.slam.batch.front import Normal, Plan, Solution, plan, solve
 from dopslam.slam.batch.landmarks import holds
@@ -40,7 +40,7 @@ class Chain:
     pace : (K,) array; time since the scan before, of the first since the prior, in periods of the motion model
     """
 
-    motion: CoordinatedTurn
+    motion: MotionModel
     mean: Array
     information: Array
     pace: Array
@@ -111,7 +111,7 @@ def _weight(chain: Chain) -> Array:
     """(K, n, n) inverse covariances of the steps."""
     values, which = np.unique(chain.pace, return_inverse=True)
     known = KNOWN * np.eye(chain.motion.dimension)
-    return np.linalg.inv(noises(chain.motion, values) + known)[which]
+    return np.asarray(np.linalg.inv(noises(chain.motion, values) + known), float)[which]
 
 
 def _residuals(data: Rows, sight: Sight, state: Array, found: Map, owner: Index):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
 from dopslam.models import unmeasured
-from dopslam.models.motion import CoordinatedTurn, paced, propagate, transition_jacobian
+from dopslam.models.motion import MotionModel, paced, propagate, transition_jacobian
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam.snapshot.candidates import Prior
@@ -98,7 +98,7 @@ def locate(
     return find_modes(rays_of(scans, 0, stations.position[one.anchor], height, planar, doppler), prior, search)
 
 
-def walk_of(motion: CoordinatedTurn, mean: Array, covariance: Array) -> Walk:
+def walk_of(motion: MotionModel, mean: Array, covariance: Array) -> Walk:
     """Poses' walk under a motion model; states beyond the pose are drawn anew each step from their prior."""
     n = motion.dimension
     extra = np.asarray(mean, float)[4:]
@@ -121,7 +121,7 @@ def walk_of(motion: CoordinatedTurn, mean: Array, covariance: Array) -> Walk:
 
 def start(
     scans: Scans,
-    motion: CoordinatedTurn,
+    motion: MotionModel,
     anchors: Array,
     height: float,
     *,
