@@ -7,6 +7,7 @@ metric, which also counts how often a trajectory is taken over by another one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +110,7 @@ def _assignment(cost: Array, penalty: float) -> tuple[Array, float]:
         return np.zeros_like(cost), 0.0
     row = np.concatenate([np.full(len(s), n) for n, s in enumerate(sums)])
     single = coo_array((np.ones(len(row)), (row, np.concatenate(sums))), shape=(len(sums), size))
-    equal = _blocks(single, steps)
+    equal: Any = _blocks(single, steps)
     changes = (steps - 1) * len(real)
     pick = coo_array((np.ones(len(real)), (np.arange(len(real)), real)), shape=(len(real), size))
     later = hstack([coo_array((changes, size)), _blocks(pick, steps - 1)]) if changes else None
