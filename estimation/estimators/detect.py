@@ -28,7 +28,7 @@ from ..signal.paths import Geometry
 from .refine import metric
 
 SHARE = 0.7
-"""Searched share of Rice's volume. Of 200 bursts of noise on each of 42 random links (all kinds of search) the shares seen
+"""Searched share of Rice's volume. Of 200 bursts of noise on each of 30 random links (all kinds of search) the shares seen
 were 0.55, 0.66 and 0.87 at rates of 0.3, 0.1 and 0.03, with a standard deviation of 0.1 over links; 0.16 to 0.65 on the
 four links of the studies. So a fixed share is within 0.4 of the threshold, and costs no search."""
 
