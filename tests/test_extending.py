@@ -39,7 +39,7 @@ def test_a_format_is_one_file(call, tmp_path, monkeypatch, capsys):
         assert found["aoa"].shape == (len(found["delay"]), 2)
     assert call("export", "a.h5", "--to", "nzp", "--out", "p") == 2
     assert "no such format as 'nzp'" in capsys.readouterr().err
-    assert call("import", "a.h5", "--from", "npz.py:Npz", "--scene", "ring_road", "--out", "b.h5") == 2
+    assert call("import", "a.h5", "--format", "npz.py:Npz", "--scene", "ring_road", "--out", "b.h5") == 2
     assert "cannot be read; those that can: table" in capsys.readouterr().err
 
 
@@ -57,7 +57,7 @@ def test_a_foreign_reader_is_one_file(call, tmp_path, monkeypatch):
         "        return Opened(lambda world, truth: found, period=0.5)\n"
     )
     assert call("simulate", "ring_road", "--out", "a.h5", "--set", "track.steps=4") == 0
-    assert call("import", "a.h5", "--from", "mine.py:Mine", "--scene", "ring_road", "--out", "b.h5") == 0
+    assert call("import", "a.h5", "--format", "mine.py:Mine", "--scene", "ring_road", "--out", "b.h5") == 0
     assert (tmp_path / "b.h5").exists()
 
 

@@ -19,7 +19,7 @@ def import_(
     scene: str,
     out: Path,
     mapping: Annotated[Path | None, Parameter(name="--map")] = None,
-    from_: Annotated[str, Parameter(name="--from")] = "table",
+    form: Annotated[str, Parameter(name="--format")] = "table",
     track: Path | None = None,
     settings: Settings = None,
 ) -> None:
@@ -31,7 +31,7 @@ def import_(
         CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
     mapping
         TOML that says what the columns of a table mean; see the documentation of dopslam.formats.table.
-    from_
+    form
         Format of the file: table, or one of your own, module:Class or file.py:Class.
     scene
         Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
@@ -59,7 +59,7 @@ def import_(
 
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
-    opened = reader(from_).read(table, mapping)
+    opened = reader(form).read(table, mapping)
     kind, period = "traced" if opened.snr else "model", opened.period
 
     def world_of(shown: Shown, *more: str) -> Scenario:

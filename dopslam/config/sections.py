@@ -49,7 +49,7 @@ class Scene(Frozen):
     @model_validator(mode="after")
     def _one_source(self):
         if sum(v is not None for v in (self.file, self.builtin, self.generator)) > 1:
-            raise ValueError("give only one of scene.file, scene.builtin and scene.generator")
+            raise ValueError("give exactly one of scene.file, scene.builtin and scene.generator")
         return self
 
 

@@ -8,7 +8,7 @@ A format is a class that says whether it ``writes`` and ``reads``, and does it::
         def write(self, parts, out): ...         # parts of a dataset (dopslam.datasets.parts.Part) into the folder `out`
         def read(self, path, mapping): ...       # -> dopslam.formats.contract.Opened
 
-``dopslam export DATA --to my_file.py:Mine`` and ``dopslam import FILE --from my_file.py:Mine`` take it; a package installed
+``dopslam export DATA --to my_file.py:Mine`` and ``dopslam import FILE --format my_file.py:Mine`` take it; a package installed
 beside adds its own by an entry point of the group ``dopslam.formats``.
 """
 

@@ -144,7 +144,8 @@ def score(lin: Linearization, near, cross, inner, norm, active) -> Float:
     mixed = gram[:, :, :, 0][..., columns].reshape(many, count, size)
     full = gram[..., columns, :][..., columns].transpose(0, 1, 3, 2, 4).reshape(many, size, size)
     diagonal = np.einsum("bqq->bq", plain).real
-    inverse = np.linalg.inv(plain + 1e-9 * diagonal[:, :, None] * np.eye(count))
+    regular = np.where(diagonal > 0, 1e-9 * diagonal, 1.0)  # a path where a pattern vanishes has no signature
+    inverse = np.linalg.inv(plain + regular[:, :, None] * np.eye(count))
     weight = np.repeat(lin.gain[near], len(columns), axis=1)
     # What the known signatures can explain goes first, by complex gains; then what moving them can, by real steps.
     share = cross[..., 0] @ inverse
@@ -209,6 +210,7 @@ class Rest:
 def gained_alone(data: Projector, lin: Linearization, path: int, second: Geometry, noise_variance: float) -> float:
     """Log-likelihood that a second path beside one gains, those that do not overlap with it left as they are."""
     overlap = normalized(lin.gram[:, 0, :, 0])[path]
+    overlap[path] = 1.0  # the path is fitted anew with the second one, whether or not there are others near by
     close = np.flatnonzero(overlap > NEIGHBOR)
     others = np.flatnonzero(overlap <= NEIGHBOR)
     rest = Rest(data, lin.sorted(others)) if len(others) else data

@@ -38,7 +38,7 @@ MEANINGS = {
     "--plan": ("Path", "of sweep"), "--results": ("Path", "of view, a folder or a file in it"), "--open": ("bool", "of view"), "--serve": ("bool", "of view"), "--positions": ("int", "of dataset"),
     "--resume": ("bool", "of dataset"), "--signal": ("bool", "of dataset"), "--detections": ("bool", "of dataset"),
     "--path": ("str", "of check"), "--table": ("Path", "of import"), "--map": ("Path", "of import"),
-    "--track": ("Path", "of import"), "--to": ("Literal", "of export"), "--drive": ("int", "of export"), "--origin": ("str", "of export, latitude and longitude"),
+    "--track": ("Path", "of import"), "--to": ("str", "of export"), "--format": ("str", "of import"), "--drive": ("int", "of export"), "--origin": ("str", "of export, latitude and longitude"),
     "--prefix": ("str", "of keys"),
 }  # fmt: skip
 
