@@ -99,8 +99,15 @@ def _distances(
     off = residual(z[:, None], predicted[None])[..., :ROWS]
     total = own[None] + covariance[:, None, :ROWS, :ROWS]
     total = 0.5 * (total + total.swapaxes(-1, -2))
-    angles = np.einsum("mi,mi->m", off[:, 0, 1:], np.linalg.solve(total[:, 0, 1:, 1:], off[:, 0, 1:, None])[..., 0])
-    return np.einsum("mli,mli->ml", off, np.linalg.solve(total, off[..., None])[..., 0]), angles
+    return _squared(off, total), _squared(off[:, 0, 1:], total[:, 0, 1:, 1:])
+
+
+def _squared(off: Array, covariance: Array) -> Array:
+    """offᵀ S⁻¹ off (...); what is known exactly, or twice, is known to a part in 10⁵."""
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 1e-300))
+    matrix = covariance / (scale[..., :, None] * scale[..., None, :]) + 1e-10 * np.eye(off.shape[-1])
+    unit = off / scale
+    return np.einsum("...i,...i->...", unit, np.linalg.solve(matrix, unit[..., None])[..., 0])
 
 
 @dataclass(frozen=True, slots=True)
