@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dopslam.config.generated import under
+from dopslam.config.generated import timed, under
+from dopslam.config.track import TrackConfig
 from dopslam.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -75,13 +76,12 @@ def _contradictions(track: dict, made: dict) -> list[str]:
     """
     off = []
     if "start" in track and track["start"] != "snapshot":
-        known = [float(v) for v in track.get("start_std", (0.3, 0.3, 0.0052, 0.3))]
+        known = [float(v) for v in track.get("start_std", TrackConfig.model_fields["start_std"].default)]
         away = [float(a) - b for a, b in zip(track["start"], made["start"], strict=True)]
         away[2] = math.remainder(away[2], 2 * math.pi)
         if any(abs(away[i]) > FAR * known[i] + 1e-5 for i in (0, 1, 2)):
             off.append("start")
-    timed = bool(track.get("file")) or len(track["waypoints"][0]) == 3
-    slack = {"speed": 0.05 * made["speed"] + 0.05 if timed else math.inf, "turn_rate": 0.1, "steps": 0.0}
+    slack = {"speed": 0.05 * made["speed"] + 0.05 if timed(track) else math.inf, "turn_rate": 0.1, "steps": 0.0}
     return off + [key for key, most in slack.items() if key in track and abs(float(track[key]) - made[key]) > most]
 
 

@@ -27,12 +27,13 @@ def filled(tree: dict) -> dict:
     track = tree.get("track")
     if isinstance(track, dict) and (track.get("file") or track.get("waypoints")):
         # A drive of one's own says the rest itself; through places without times it keeps the kind's speed.
-        kept = ("period",) if _timed(track) else ("speed", "period")
+        kept = ("period",) if timed(track) else ("speed", "period")
         made["track"] = {key: made["track"][key] for key in kept}
     return under(tree, {"name": f"{kind}_{seed}", **made})
 
 
-def _timed(track: dict) -> bool:
+def timed(track: dict) -> bool:
+    """Whether a drive of one's own says when it is where, and with it how fast it goes."""
     points = track.get("waypoints")
     return not (isinstance(points, list) and points and isinstance(points[0], list) and len(points[0]) == 2)
 
