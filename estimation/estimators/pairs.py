@@ -121,9 +121,14 @@ def suspects(data: Projector, lin: Linearization, noise_variance: float) -> Susp
     return Suspects(scores[every, best] / noise_variance, step)
 
 
+def coherence(lin: Linearization) -> Float:
+    """Coherence (P, P) of the paths' signatures, each with itself too: where one is fitted anew, so are its neighbors."""
+    return normalized(lin.gram[:, 0, :, 0]) + np.eye(len(lin.gain))
+
+
 def neighbors(lin: Linearization) -> list[tuple[np.typing.NDArray[np.intp], np.typing.NDArray[np.intp]]]:
     """Paths (B,), and each with those whose moves may be confused with its own (B, Q); equal Q together."""
-    overlap = normalized(lin.gram[:, 0, :, 0]) + np.eye(len(lin.gain))
+    overlap = coherence(lin)
     order = np.argsort(-overlap, axis=1)
     close = np.minimum(np.sum(overlap > NEIGHBOR, axis=1), 1 + CROWD)
     return [(paths, order[paths, :size]) for size in np.unique(close) for paths in [np.flatnonzero(close == size)]]
@@ -209,10 +214,8 @@ class Rest:
 
 def gained_alone(data: Projector, lin: Linearization, path: int, second: Geometry, noise_variance: float) -> float:
     """Log-likelihood that a second path beside one gains, those that do not overlap with it left as they are."""
-    overlap = normalized(lin.gram[:, 0, :, 0])[path]
-    overlap[path] = 1.0  # the path is fitted anew with the second one, whether or not there are others near by
-    close = np.flatnonzero(overlap > NEIGHBOR)
-    others = np.flatnonzero(overlap <= NEIGHBOR)
+    overlap = coherence(lin)[path]
+    close, others = np.flatnonzero(overlap > NEIGHBOR), np.flatnonzero(overlap <= NEIGHBOR)
     rest = Rest(data, lin.sorted(others)) if len(others) else data
     pair = joint_fit(rest, lin.geometry.take(close).joined(second), noise_variance, 0.5)
     return (pair.explained - linearize(rest, lin.geometry.take(close)).explained) / noise_variance

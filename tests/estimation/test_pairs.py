@@ -5,7 +5,7 @@ import pytest
 
 from estimation import Flag, Nomp, SignalModel, comb, digital, synthesize, ura
 from estimation.estimators.noise import Noise
-from estimation.estimators.pairs import local_level, steps_between, suspects, told_apart
+from estimation.estimators.pairs import gained_alone, local_level, steps_between, suspects, told_apart
 from estimation.estimators.projector import Bases, Projector
 from estimation.estimators.refine import joint_fit, metric
 from estimation.evaluate import associate
@@ -46,6 +46,17 @@ def test_the_score_is_what_least_squares_gains(model, paths):
     second = signature(model, center.moved(found.step))
     gained = rest(basis) - rest([*basis, second, 1j * second])
     assert found.statistic[0] == pytest.approx(gained, rel=0.03, abs=0.1)
+
+
+def test_a_suspect_without_neighbors_is_fitted_with_its_own_path_free(link):
+    """By the fit of both at once: nothing is held, since nothing else is there."""
+    rng = np.random.default_rng(8)
+    one = at_snr(link, draw_paths(link, rng, Draw(paths=1)), [800.0])
+    data = Projector(link, link.whiten(synthesize(link, one, 1.0, rng)), Bases.build(link))
+    lin = joint_fit(data, one.geometry, 1.0, 1e-6)
+    second = lin.geometry.moved(suspects(data, lin, 1.0).step)
+    both = joint_fit(data, lin.geometry.joined(second), 1.0, 0.5)
+    assert gained_alone(data, lin, 0, second, 1.0) == pytest.approx(both.explained - lin.explained, abs=1e-3)
 
 
 def test_steps_between_paths_lead_there(paths):
