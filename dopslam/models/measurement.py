@@ -33,7 +33,6 @@ from dopslam.models.pose import (
 Array = NDArray[np.float64]
 
 BS, VA, SP, SR = 0, 1, 2, 3
-DIMENSION = 6
 AZIMUTHS = (1, 3)
 
 

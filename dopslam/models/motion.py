@@ -112,11 +112,14 @@ class Motion:
 
     def step(self, state: Array) -> Array:
         """Noise-free state (..., n) one step later."""
-        raise NotImplementedError
+        raise self._lacks("step")
 
     def velocity(self, state: Array) -> Array:
         """Velocity (..., 3) [m/s] of a state."""
-        raise NotImplementedError
+        raise self._lacks("velocity")
+
+    def _lacks(self, method: str) -> ConfigError:
+        return ConfigError(f"filter.motion: {type(self).__name__} has no {method}(state); every motion model needs one")
 
     def jacobian(self, state: Array) -> Array:
         """∂step/∂s (..., n, n), by central differences."""

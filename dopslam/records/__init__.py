@@ -148,7 +148,6 @@ SHAPES = {  # of a row, where it is no single number
 KINDS = {  # numpy's letters of number types, where they are not any real ones
     **dict.fromkeys(("a", "gain"), "cfiu"), **dict.fromkeys(("anchor", "flags", "kind", "order", "landmark"), "iu"),
 }  # fmt: skip
-_WORDS = {"fiu": "real", "cfiu": "complex", "iu": "whole"}
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from dopslam.errors import ConfigError
 from dopslam.models import kernels
-from dopslam.models.motion import CoordinatedTurn, propagate, transition_jacobian, velocity
+from dopslam.models.motion import CoordinatedTurn, Motion, propagate, transition_jacobian, velocity
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-9, 1e-3, np.pi / 10, -1.3])
@@ -49,3 +50,9 @@ def test_velocity_has_the_speed_of_the_state():
 def test_wrong_noise_is_refused():
     with pytest.raises(ValueError, match="process_noise"):
         CoordinatedTurn(0.5, np.eye(5))
+
+
+@pytest.mark.parametrize("method", ["step", "velocity"])
+def test_a_model_of_ones_own_that_lacks_something_is_told_what(method):
+    with pytest.raises(ConfigError, match=rf"Half has no {method}\(state\)"):
+        getattr(type("Half", (Motion,), {})(), method)(np.zeros(4))
