@@ -15,7 +15,7 @@ that has a faster way through a whole run gives ``run`` as well::
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -29,7 +29,7 @@ from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
 from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
 from dopslam.slam.orientation import turnable
-from dopslam.slam.snapshot import start as snapshot
+from dopslam.slam.snapshot.start import started
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,15 +208,6 @@ def run(
     else:
         history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
     return (turnable(history, problem.anchor, problem.yaw_std) if problem.yaw_std else history), told
-
-
-def started(problem: Problem, scans: Scans, doppler: bool) -> Problem:
-    """The problem with the start that the scans alone tell, where it asks for that."""
-    if not problem.snapshot:
-        return problem
-    known = (problem.mean, problem.covariance)
-    found = snapshot.start(scans, problem.motion, problem.anchor, problem.height, prior=known, doppler=doppler)
-    return replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
 
 
 def check(chosen: Filter, problem: Problem, scans: Scans) -> None:

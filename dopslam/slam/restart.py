@@ -21,7 +21,7 @@ from dopslam.models.scans import Scans
 from dopslam.records import edges_of
 from dopslam.slam.health import DECLARED, FEWEST, Verdict, judge
 from dopslam.slam.history import Diagnostics, History
-from dopslam.slam.snapshot import start as snapshot
+from dopslam.slam.snapshot.start import started
 
 Told = tuple[History, Diagnostics]
 Problem = Any  # of dopslam.slam.filter, which calls this module
@@ -94,13 +94,9 @@ def _anew(
     """The run with another one from step ``first`` on, and the verdict on it; None if there is no start or no end."""
     rest = scans if first == 0 else scans.take(slice(first, None))
     try:
-        if whole:
-            start = replace(problem, snapshot=True)
-        else:
-            known = (problem.mean, problem.covariance)
-            near = rest.take(slice(0, WINDOW))
-            found = snapshot.start(near, problem.motion, problem.anchor, problem.height, prior=known, doppler=doppler)
-            start = replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
+        start = replace(problem, snapshot=True)
+        if not whole:
+            start = started(start, rest.take(slice(0, WINDOW)), doppler)
         new = go(start, rest)
     except FilterError:
         return None

@@ -16,9 +16,7 @@ from dopslam.compute.linalg import factorize, solve_lower_vector
 from dopslam.models.kernels import SR, noise_entry, wrap_angle
 
 FAMILY = 3  # members
-ALIKE = (
-    12.0  # squared Mahalanobis distance of delay, arrival and Doppler up to which two detections agree (98 % of χ²₄)
-)
+ALIKE = 12.0  # squared Mahalanobis distance of delay, arrival and Doppler of two that agree (98 % of χ²₄)
 
 
 @compiled
