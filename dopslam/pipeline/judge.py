@@ -97,6 +97,7 @@ def judged(
             largest_order(split_variant(name)[0], landmarks),
         )
         | ({"nis_per_row": histories[name].nis_per_row} if np.isfinite(histories[name].nis_per_row) else {})
+        | {"detections_passed_over": histories[name].passed_over}
         | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()

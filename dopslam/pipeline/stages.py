@@ -308,7 +308,7 @@ def slam(
     scans = problem.scans(detections)
     history, told = run_filter(problem, scans, build.chosen_filter(scenario, name, doppler), seed)
     lost = divergence(history, scans, problem.anchor, problem.height)
-    return replace(history, lost=lost, nis_per_row=told.nis_per_row)
+    return replace(history, lost=lost, nis_per_row=told.nis_per_row, passed_over=int(told.passed_over.sum()))
 
 
 def uses_doppler(scenario: Scenario, name: str) -> bool:

@@ -81,6 +81,8 @@ def _shown(variants: dict) -> list:
             return any(v["va_total"] + v["sp_total"] for v in variants.values())
         if label.startswith("NIS"):
             return any(v.get("nis_per_row") is not None for v in variants.values())
+        if label.startswith("detections passed"):
+            return any(v.get("detections_passed_over") for v in variants.values())
         return not label.startswith("walls") or any(v.get("walls_total") for v in variants.values())
 
     states = max((v.get("nees_states", 4) for v in variants.values()), default=4)
@@ -113,6 +115,7 @@ _ROWS = (
     ("clock bias RMSE, m", _with_ratio("clock_bias_rmse_m", "clock")),
     ("NEES", _number("nees", 1)),
     ("NIS per row (expect 1)", _number("nis_per_row", 2)),
+    ("detections passed over (pieces of one path)", lambda v: f"{v.get('detections_passed_over', 0)}"),
     ("GOSPA of VAs, m", _number("gospa_va_m", 2)),
     ("GOSPA of SPs, m", _number("gospa_sp_m", 2)),
     ("VAs found", lambda v: f"{v['va_found']} of {v['va_total']}"),

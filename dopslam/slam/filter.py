@@ -147,6 +147,7 @@ class Info:
     weights : (g,); normalized association weights, the likeliest first
     associations : (g, M); track of each measurement, −1 the BS, −2 new or clutter
     existence : (M,); predicted existence of the track each measurement went to
+    passed_over : measurements that were not read at all, as pieces of one path
     """
 
     estimate: Estimate
@@ -155,6 +156,7 @@ class Info:
     weights: np.ndarray = field(default_factory=lambda: np.ones(0))
     associations: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     existence: np.ndarray = field(default_factory=lambda: np.ones(0))
+    passed_over: int = 0
 
 
 @runtime_checkable
@@ -257,6 +259,7 @@ def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Gen
         weights=tuple(info.weights for info in told),
         associations=tuple(info.associations for info in told),
         existence=tuple(info.existence for info in told),
+        passed_over=np.array([info.passed_over for info in told], dtype=np.int64),
     )
 
 

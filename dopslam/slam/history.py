@@ -29,6 +29,8 @@ class Diagnostics:
     weights : K arrays (g,); normalized association weights, the likeliest first
     associations : K arrays (g, M); track of each measurement, -1 the BS, -2 new or clutter
     existence : K arrays (M,); predicted existence of the track each measurement went to
+    passed_over : (K,) number of measurements that were not read at all, as pieces of one path
+        (:mod:`dopslam.slam.pmb.splinters`); empty of a filter that reads them all
     """
 
     nis: Array
@@ -36,6 +38,7 @@ class Diagnostics:
     weights: tuple[Array, ...]
     associations: tuple[NDArray[np.int64], ...]
     existence: tuple[Array, ...]
+    passed_over: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def nis_per_row(self) -> float:
@@ -68,6 +71,7 @@ class History(Ragged):
     restarted : from which steps the filter was started anew, and why (:mod:`dopslam.slam.restart`); empty if it was not
     nis_per_row : normalized innovation squared of the likeliest association over its degrees of freedom, over all steps; 1 is
         expected, NaN where the filter has none
+    passed_over : detections of the whole run that the filter did not read, as pieces of one path
     """
 
     OFFSETS: ClassVar[str] = "map_offsets"
@@ -85,6 +89,7 @@ class History(Ragged):
     lost: str = ""
     restarted: str = ""
     nis_per_row: float = float("nan")
+    passed_over: int = 0
 
     def __post_init__(self) -> None:
         check_offsets("History", self.map_offsets, len(self.position))

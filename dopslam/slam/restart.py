@@ -169,4 +169,5 @@ def _told(old: Diagnostics, new: Diagnostics, first: int, number: dict[int, int]
         weights=(*old.weights[:first], *new.weights),
         associations=(*old.associations[:first], *map(renumbered, new.associations)),
         existence=(*old.existence[:first], *new.existence),
+        passed_over=np.concatenate([old.passed_over[:first], new.passed_over]),
     )

@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dopslam.filters import FILTERS
 from dopslam.models.kernels import BS, SP, SR, VA
 from dopslam.models.measurement import measure
+from dopslam.pipeline import problem as build
+from dopslam.simulate.world import section_v, simulate
+from dopslam.slam.filter import run, run_steps
 from dopslam.slam.pmb.density import PMB, FilterParameters, Scan, compile_model
 from dopslam.slam.pmb.ek_pmb import single_step
 from dopslam.slam.pmb.merging import identify, merge_duplicates
@@ -152,6 +156,29 @@ def test_splinters_make_no_landmarks_and_the_strongest_updates_its_own(world, rn
     np.testing.assert_array_equal(after.track, [-1, 0])
     assert after.weight[1] > 0.99 and after.unseen[1] == 0.0
     np.testing.assert_array_equal(info.track[0], [-2] * 7 + [0])
+
+
+def test_how_many_pieces_were_passed_over_is_told(world, rng):
+    """Scan by scan and over a whole run, the same by every filter that passes them over."""
+    _, scans = simulate(section_v(steps=4), 3, 0)
+    strength = np.full(len(scans.z), 100.0)
+    pieces, noise, strong = splintered(world, rng, 5)
+    at = int(scans.offsets[2])
+    scans = replace(
+        scans,
+        z=np.insert(scans.z, at, pieces, axis=0),
+        covariance=np.insert(scans.covariance, at, noise, axis=0),
+        snr=np.insert(strength, at, np.exp(strong)),
+        offsets=scans.offsets + 5 * (np.arange(5) >= 3),
+        anchor=np.zeros(len(scans.z) + 5, dtype=np.int64),
+        label=None,
+    )
+    problem = build.told(section_v(steps=4))
+    for name in ("joint", "mixture", "smoother"):
+        np.testing.assert_array_equal(run(problem, scans, FILTERS[name]())[1].passed_over, [0, 0, 4, 0])
+    np.testing.assert_array_equal(
+        run_steps(FILTERS["joint"](), problem, scans, np.random.default_rng(0))[1].passed_over, [0, 0, 4, 0]
+    )
 
 
 def test_what_was_seen_once_is_not_reported(world):

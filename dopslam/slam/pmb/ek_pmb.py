@@ -44,7 +44,7 @@ from dopslam.slam.pmb.hypotheses import (
 from dopslam.slam.pmb.merging import merge_duplicates
 from dopslam.slam.pmb.newborn import RARE
 from dopslam.slam.pmb.sleeping import nobody, whole
-from dopslam.slam.pmb.splinters import pass_over_splinters
+from dopslam.slam.pmb.splinters import pass_over_splinters, passed_over
 from dopslam.slam.pmb.update import update
 from dopslam.slam.pmb.waking import rest, wake, write_sleepers
 
@@ -384,6 +384,7 @@ def run(
         weights=tuple(w[:g] for w, g in zip(weight, count, strict=True)),
         associations=tuple(track[:g, s] for g, s in zip(count, owned, strict=True)),
         existence=tuple(existence[s] for s in owned),
+        passed_over=passed_over(*arrays[2:4]),
     )
     return history_of(mean, covariance, map_offsets, table), diagnostics
 

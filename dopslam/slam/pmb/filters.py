@@ -97,8 +97,11 @@ class Joint:
                 predicted(model, now, self._reported(state.density).mean[: now.dimension]),
                 read._replace(pace=1.0),
             )
+        passed = int(np.isneginf(read.log_snr).sum())
         density, told = self._step(state.density, read, model)
-        info = Info(estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence)
+        info = Info(
+            estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence, passed
+        )
         return State(problem, density, state.measurements + len(scan.z)), info
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:

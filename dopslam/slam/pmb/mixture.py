@@ -130,9 +130,11 @@ def run(
     check_inputs(scans, parameters, model, *prior)
     mixture = [Hypothesis(0.0, initial_density(*prior))]
     n = motion.dimension
-    means, covariances, tables, infos = [], [], [], []
+    means, covariances, tables, infos, passed = [], [], [], [], []
     for k in range(scans.steps):
-        mixture, info = step(mixture, scan_of(scans, k, parameters.doppler, motion.interval), model, hypotheses)
+        scan = scan_of(scans, k, parameters.doppler, motion.interval)
+        mixture, info = step(mixture, scan, model, hypotheses)
+        passed.append(np.isneginf(scan.log_snr).sum())
         posterior = merged(mixture)
         means.append(posterior.mean[:n])
         covariances.append(posterior.covariance[:n, :n])
@@ -145,5 +147,6 @@ def run(
         weights=tuple(i.weight for i in infos),
         associations=tuple(i.track for i in infos),
         existence=tuple(i.existence for i in infos),
+        passed_over=np.array(passed, dtype=np.int64),
     )
     return history_of(np.array(means), np.array(covariances), offsets, np.concatenate(tables)), diagnostics

@@ -10,6 +10,7 @@ chance; from `FAMILY` on four in five were false (19 generated scenes).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled
 from dopslam.compute.linalg import factorize, solve_lower_vector
@@ -53,6 +54,12 @@ def pass_over_splinters(z, covariance, log_snr, offsets):
             for a in range(m):
                 for b in range(m):
                     covariance[p, a, b] = noise_entry(covariance[p], SR, a, b)
+
+
+def passed_over(log_snr: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many detections of every scan (K,) were set aside by :func:`pass_over_splinters`."""
+    aside = np.concatenate([[0], np.cumsum(np.isneginf(log_snr))])
+    return np.diff(aside[offsets])
 
 
 @compiled
