@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from dopslam.compute.compiled import clear, compiled
+from dopslam.models.unmeasured import UNSEEN
 
 BS, VA, SP, SR = 0, 1, 2, 3
 FREE_AZIMUTH, FREE_ELEVATION = 2.0 * math.pi, 0.5 * math.pi  # variances whose densities at 0 are 1/2π and 1/π: uniform
@@ -51,6 +52,16 @@ def noise_entry(noise, kind, i, j):
     if kind == SR and (i == 3 or i == 4 or j == 3 or j == 4):
         return 0.0 if i != j else FREE_AZIMUTH if i == 3 else FREE_ELEVATION
     return noise[i, j]
+
+
+@compiled
+def measured_rows(noise):
+    """How many rows of a measurement tell anything (:mod:`dopslam.models.unmeasured`); the delay does, always."""
+    count = 1
+    for i in range(1, noise.shape[0]):
+        if noise[i, i] < UNSEEN[i]:
+            count += 1
+    return count
 
 
 @compiled

@@ -25,6 +25,7 @@ SAYS_NOTHING = np.array(
 LARGEST_SCAN = 2000  # measurements of one step
 REGULAR = 1e-4  # of a period: smaller differences of time stamps are rounding
 DOUBTFUL = 1 | 2  # flags of a close pair and of the edge of view, whose covariances are too small
+SAME_SNR = 1e-3  # nepers, below which all are alike
 WIDENING = 4.0  # of their R
 
 
@@ -54,6 +55,8 @@ class Scans(Ragged):
         Base station of each measurement; 0 where it is not said.
     interval : (K,) array or None
         Time [s] since the step before, of the first step since the prior; None: the motion model's own period.
+    cells : bool
+        Whether R falls with ρ, as an estimator's does, so that the two tell the width of a resolution cell.
     label : (N,) int array or None
         True landmark of each measurement, -1 for clutter; only for simulated data, never read by a filter.
     """
@@ -68,6 +71,7 @@ class Scans(Ragged):
     threshold: float | None = None
     anchor: NDArray[np.int64] = field(default_factory=lambda: ABSENT)
     interval: Array | None = None
+    cells: bool = True
     label: NDArray[np.int64] | None = None
 
     PER_STEP: ClassVar[tuple[str, ...]] = ("interval",)
@@ -171,7 +175,20 @@ def from_detections(
         threshold=float(detections.threshold),
         anchor=np.asarray(detections.anchor, dtype=np.int64),
         interval=_intervals(detections.time, period),
+        cells=_tell_cells(covariance[:, 0, 0], np.asarray(detections.snr, dtype=float)),
     )
+
+
+def _tell_cells(variance: Array, snr: Array) -> bool:
+    """Whether the variances (N,) of delays fall with ρ (N,): R is an estimator's, and ρ R depends on its band alone.
+
+    What a person took for the accuracy of a device, or a covariance from repeated measurements, does not; nor is a ρ that
+    is the same everywhere one.
+    """
+    log_variance, log_snr = np.log(np.maximum(variance, 1e-300)), np.log(np.maximum(snr, 1e-12))
+    if len(snr) < 3 or not np.ptp(log_snr) > SAME_SNR:
+        return False
+    return bool(np.cov(log_snr, log_variance)[0, 1] < -0.5 * np.var(log_snr, ddof=1))
 
 
 def _intervals(time: Array | None, period: float | None) -> Array | None:

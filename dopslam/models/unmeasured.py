@@ -16,6 +16,10 @@ def deviation(widths: np.ndarray) -> np.ndarray:
     return WIDE * widths / np.sqrt(2 * np.pi)
 
 
+SPANS = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])  # of angles; of delay and Doppler set per run
+UNSEEN = (0.1 * deviation(SPANS)) ** 2  # rad², variances of angles from which on they were not measured
+
+
 def missing(variance: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """(N, 6) quantities that were not measured, by their variances (N, 6); one that is as wide as what is searched, or
     wider, tells nothing."""
@@ -24,8 +28,7 @@ def missing(variance: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 def planar(variance: np.ndarray) -> bool:
     """Whether no elevation was measured at all, by the variances (N, 6) of the detections."""
-    widths = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])
-    return bool(len(variance)) and bool(missing(variance, widths)[:, [2, 4]].all())
+    return bool(len(variance)) and bool((variance[:, [2, 4]] > UNSEEN[[2, 4]]).all())
 
 
 def volume(widths: np.ndarray, missing: np.ndarray) -> float:

@@ -14,15 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from dopslam.models.measurement import BS, SP, jacobians, measure, residual
 from dopslam.models.scans import Scans
+from dopslam.models.unmeasured import UNSEEN
 from dopslam.slam.history import History
 
 Array = NDArray[np.float64]
 
 ROWS = 5  # of a measurement that are looked at: what Doppler says depends on a speed that need not be known
-GATE = 25.0  # squared Mahalanobis distance of five rows that is near: 1.4e-4 of the right ones lie beyond
+BEYOND = 1.4e-4  # of the right ones lie beyond the squared Mahalanobis distance that is near: 25 of five rows
+GATE = chi2.isf(BEYOND, np.arange(1, ROWS + 1))  # by the number of rows that were measured, less one
 DECLARED = 0.5  # existence of a landmark from which it counts
 FEWEST = 5  # steps with measurements without the base station before anything is said
 NEWBORN = 2  # measurements of a new landmark before it is declared
@@ -41,12 +44,14 @@ class Explained:
     sighted : (K,) bool; the base station is among what is explained
     shifted : (K,) bool; it is in direction, but not in length
     distance : (K,) sum of the squared Mahalanobis distances of what is explained
+    rows : (K,) measured rows of what is explained
     fresh : (K,) landmarks declared for the first time
     too_far : (K,) bool; the base station is farther than most paths are long, which is impossible
     """
 
     measured: NDArray[np.int64]
     explained: NDArray[np.int64]
+    rows: NDArray[np.int64]
     sighted: NDArray[np.bool_]
     shifted: NDArray[np.bool_]
     distance: Array
@@ -57,7 +62,7 @@ class Explained:
 def explained(history: History, scans: Scans, station: Array, height: float) -> Explained:
     """Compare the measurements of every step with the state after it and the landmarks declared the step before."""
     steps = history.steps
-    count, sighted, shifted, too_far = (np.zeros(steps, int) for _ in range(4))
+    count, told, sighted, shifted, too_far = (np.zeros(steps, int) for _ in range(5))
     distance, fresh = np.zeros(steps), np.zeros(steps, int)
     known: set[int] = set()
     for k in range(steps):
@@ -68,16 +73,23 @@ def explained(history: History, scans: Scans, station: Array, height: float) -> 
         if rows.start == rows.stop:
             continue
         squared, in_direction = _distances(history, k, scans.z[rows], scans.covariance[rows], station, height)
-        near = squared.min(axis=1)
-        count[k] = np.sum(near < GATE)
-        distance[k] = near[near < GATE].sum()
-        sighted[k] = np.any(squared[:, 0] < GATE)
-        shifted[k] = not sighted[k] and np.any(in_direction < GATE)
+        nearest, measured = squared.min(axis=1), _measured(scans.covariance[rows])
+        gate = GATE[measured - 1]
+        near = nearest < gate
+        count[k], told[k] = near.sum(), measured[near].sum()
+        distance[k] = nearest[near].sum()
+        sighted[k] = np.any(squared[:, 0] < gate)
+        shifted[k] = not sighted[k] and np.any(in_direction < gate)
         apart = np.hypot(np.linalg.norm(history.mean[k, :2] - station[:2]), height - station[2])
         spread = np.sqrt(np.trace(history.covariance[k][:2, :2]) + history.covariance[k][3, 3])
         too_far[k] = apart - 5.0 * spread > np.median(scans.z[rows, 0] - history.mean[k, 3])
     measured = np.diff(scans.offsets)
-    return Explained(measured, count, sighted > 0, shifted > 0, distance, fresh, too_far > 0)
+    return Explained(measured, count, told, sighted > 0, shifted > 0, distance, fresh, too_far > 0)
+
+
+def _measured(covariance: Array) -> NDArray[np.int64]:
+    """(M,) rows that tell anything, of those that are looked at; the delay always does."""
+    return 1 + np.sum(np.einsum("nii->ni", covariance)[:, 1:ROWS] < UNSEEN[1:ROWS], axis=1)
 
 
 def _distances(
@@ -147,7 +159,7 @@ def judge(history: History, scans: Scans, station: Array, height: float) -> Verd
     steps = np.flatnonzero(seen.measured > 0)
     last = steps[-2 * FEWEST :]
     if seen.explained[last].sum() >= FEWEST:
-        spread = seen.distance[last].sum() / (ROWS * seen.explained[last].sum())
+        spread = seen.distance[last].sum() / seen.rows[last].sum()
         if spread > FAR:
             return Verdict(
                 f"what it still explains is {spread:.1f} times as far off as it claims (1 is expected)",
@@ -171,7 +183,7 @@ def _why_blind(seen: Explained, steps: NDArray[np.int64], lost: NDArray[np.int64
     open_, sighted = seen.measured - seen.explained, steps[seen.sighted[steps]]
     usual = max(float(scans.clutter_count), float(open_[sighted].mean()) if len(sighted) >= FEWEST else 0.0)
     expected = max(usual * len(lost) + NEWBORN * seen.fresh[lost].sum(), 1.0)
-    found, rows = int(open_[lost].sum()), ROWS * int(seen.explained[lost].sum())
+    found, rows = int(open_[lost].sum()), int(seen.rows[lost].sum())
     if found > expected + DEVIATIONS * np.sqrt(expected):
         return f"{where}, and {found} detections are unexplained where {expected:.0f} are usual"
     squared = float(seen.distance[lost].sum())
@@ -182,7 +194,7 @@ def _why_blind(seen: Explained, steps: NDArray[np.int64], lost: NDArray[np.int64
 
 def _far_since(seen: Explained, steps: NDArray[np.int64]) -> int:
     """The step from which what is explained has been too far off until the end."""
-    rows, squared = ROWS * seen.explained[steps][::-1].cumsum(), seen.distance[steps][::-1].cumsum()
+    rows, squared = seen.rows[steps][::-1].cumsum(), seen.distance[steps][::-1].cumsum()
     far = np.flatnonzero(squared > FAR * np.maximum(rows, 1))
     return int(steps[len(steps) - 1 - far[-1]]) if len(far) else int(steps[0])
 

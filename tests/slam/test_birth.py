@@ -18,7 +18,7 @@ STD = np.array([0.1, 0.05, 0.05, 0.05, 0.05, 0.1])
 
 def fit(z, noise, state, covariance, kind, site, start):
     x, gain, own = start.copy(), np.empty((3, len(z))), np.empty((3, 3))
-    valid, chi2, log_volume = fit_landmark(z, noise, state, covariance, kind, site, -np.inf, x, gain, own)
+    valid, chi2, log_volume = fit_landmark(z, noise, state, covariance, kind, site, False, -np.inf, x, gain, own)
     return valid, chi2, log_volume, x, gain, own
 
 

@@ -25,7 +25,6 @@ Index = NDArray[np.int64]
 KINDS = (VA, SP, SR)
 DEPARTURE = [3, 4]
 THOUGHT_FALSE = 0.5  # false detections per scan that are thought possible, whatever is promised
-SPANS = np.array([1.0, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 1.0])  # of angles; of delay and Doppler set per run
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +115,7 @@ def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppl
     any elevation walls are taken to stand upright and objects to be as high as the receiver.
     """
     variance = np.einsum("nii->ni", scans.covariance)
-    spans = SPANS.copy()
+    spans = unmeasured.SPANS.copy()
     spans[5] = scans.doppler_span
     spans[0] = np.inf  # a delay is measured, always
     used = ~unmeasured.missing(variance, spans)

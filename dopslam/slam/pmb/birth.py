@@ -5,6 +5,10 @@ With R̃ = R + A P_s Aᵀ, the term of type m in ρ^new is
 p_D λ (2π)^{(3 - m_z)/2} |R̃|^{-1/2} |BᵀR̃⁻¹B|^{-1/2} exp(-χ²_min/2): the residual of the m_z - 3 redundant
 rows rejects clutter. It does not tell VA from SP: every SP has a VA twin with the same measurement. A second reflection
 has two rows less to be rejected by, and pays for it with the density 1/2π² of its departure.
+
+Where no elevation is measured nothing tells a landmark's height. The integral then goes over the plane: walls stand
+upright, so that the images of the base station are as high as it is, and objects are as high as the receiver. To the
+rows of a fit that is one more, the height with the deviation `HELD`.
 """
 
 from __future__ import annotations
@@ -16,17 +20,44 @@ import numpy as np
 from dopslam.compute.compiled import compiled
 from dopslam.compute.linalg import cholesky, solve_lower
 from dopslam.models.kernels import SP, VA, linearize, log_spreading, noise_entry, starting_point, subtract
+from dopslam.models.unmeasured import UNSEEN
 from dopslam.slam.pmb.density import BIRTHS, look_up
 
 MAX_STEPS = 8
 OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
 TWIN = 5.0  # an SP is hardly more than e^5 times as likely as its VA twin, equal intensities given (both fit alike)
 CONVERGED = 1e-2  # remaining decrease of χ² below which Gauss-Newton stops
+HELD = 1e-3  # m, deviation of a height that nothing tells from where it is held
+STOREYS = 10.0  # m, heights over which the landmarks that λ counts per m³ are spread, where only the plane is seen
 REDUNDANT_LIMIT = 50.0  # χ²_min above which a measurement is no single-bounce path
 
 
 @compiled
-def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain, covariance):
+def first_guess(z, noise, state, kind, site, x):
+    """:func:`starting_point`; of a path that one end alone was measured of, from the point of its ray where the length fits."""
+    arrives, departs = noise[1, 1] < UNSEEN[1], noise[3, 3] < UNSEEN[3]
+    if arrives == departs or (arrives and kind != SP):
+        return starting_point(z, state, kind, site, x)
+    length = z[0] - state[3]
+    wx, wy, wz = site[0] - state[0], site[1] - state[1], site[2] - site[3]
+    excess = length * length - (wx * wx + wy * wy + wz * wz)
+    if not excess > 0.0 or length <= 0.0:
+        return False
+    sign, row, azimuth = (-1.0, 2, z[1] + state[2]) if arrives else (1.0, 4, z[3])
+    flat = math.cos(z[row])
+    rx, ry, rz = flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(z[row])
+    reach = 0.5 * excess / (length + sign * (wx * rx + wy * ry + wz * rz))
+    from_end = 0.0 if arrives else 1.0
+    x[0], x[1], x[2] = from_end * wx + reach * rx, from_end * wy + reach * ry, from_end * wz + reach * rz
+    if kind != SP:  # the image lies behind it, as far as the path is long
+        behind = length / math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+        x[0], x[1], x[2] = behind * x[0], behind * x[1], behind * x[2]
+    x[0], x[1], x[2] = state[0] + x[0], state[1] + x[1], site[3] + x[2]
+    return True
+
+
+@compiled
+def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, x, gain, covariance):
     """Gauss-Newton for x̂ = argmin χ²(x) with the UE's uncertainty in R̃.
 
     Parameters
@@ -35,6 +66,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
     state, state_covariance : (n,), (n, n)
     kind : int
     site : 5-tuple
+    planar : bool; no elevation tells the height, which is held
     enough : float; stop after one step if log_volume - ½χ²_min is expected below this (-inf: always converge)
     x : (3,) array, start; overwritten with x̂
     gain : (3, m) array, written: G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹
@@ -51,6 +83,8 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
     predicted = np.empty(m)
     by_state = np.empty((m, n))
     white = np.empty((m, 4))  # columns: L⁻¹B and L⁻¹ν
+    hold = HELD**-2 if planar else 0.0
+    level = site[3] if kind == SP else site[2]
     by_landmark = np.empty((m, 3))
     factor = np.empty((m, m))
     information = np.empty((3, 3))
@@ -92,6 +126,10 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, enough, x, gain,
         chi2 = 0.0
         for k in range(m):
             chi2 += white[k, 3] * white[k, 3]
+        if planar:
+            step[2] += hold * (level - x[2])
+            information[2, 2] += hold
+            chi2 += hold * (level - x[2]) ** 2
         if not cholesky(information, 3):
             return False, np.inf, 0.0
         decrease = 0.0
@@ -217,6 +255,8 @@ def new_hypotheses(density, n, scan, local, model):
     gain = np.empty((3, m))
     covariance = np.empty((3, 3))
     constant = 0.5 * (3 - m) * math.log(2.0 * math.pi)
+    if model.planar:  # λ per m² times the density of the height that is held
+        constant += math.log(STOREYS / (math.sqrt(2.0 * math.pi) * HELD))
     for p in range(count):
         total = scan.clutter
         best_track = -np.inf
@@ -231,7 +271,7 @@ def new_hypotheses(density, n, scan, local, model):
             x = position[p, t]
             if t == 1 and twin + TWIN + most < best_track - OUTWEIGHED:
                 continue
-            if not starting_point(scan.z[p], state, kind, model.site, x):
+            if not first_guess(scan.z[p], scan.covariance[p], state, kind, model.site, x):
                 continue
             valid, chi2, log_volume = fit_landmark(
                 scan.z[p],
@@ -240,6 +280,7 @@ def new_hypotheses(density, n, scan, local, model):
                 state_covariance,
                 kind,
                 model.site,
+                model.planar,
                 best_track - OUTWEIGHED - most,
                 x,
                 gain,

@@ -122,6 +122,7 @@ class Model(NamedTuple):
     outlier: float
     inform: bool
     lazy: bool
+    planar: bool
     sp_range: float
     use_snr: bool
     table: Array
@@ -188,6 +189,9 @@ class FilterParameters:
         Whether landmarks out of reach sleep (`sleeping`) once there are many, in a whole run with `joint`.
     inform : bool
         Whether the redundant rows of a birth's only measurement move the receiver.
+    planar : bool
+        No elevation is measured at all: landmarks are held at the height of the base station, or the receiver's (scatter
+        points).
     negligible : float
         Associations below this weight relative to the best are not updated.
     detection : ConstantDetection or SnrDetection
@@ -218,6 +222,7 @@ class FilterParameters:
     outlier: float = 20.0
     inform: bool = True
     lazy: bool = True
+    planar: bool = False
     negligible: float = 1e-4
     detection: DetectionModel = field(default_factory=ConstantDetection)
     memory: float = 5.0
@@ -282,6 +287,7 @@ def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, 
         outlier=float(parameters.outlier) if parameters.joint else 0.0,
         inform=bool(parameters.inform and parameters.joint),
         lazy=bool(parameters.lazy and parameters.joint),
+        planar=bool(parameters.planar),
         sp_range=np.inf if limit is None else float(limit),
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),

@@ -305,7 +305,8 @@ def scan_arrays(
     covariance = np.array(scans.covariance[:, :m, :m], order="C")
     log_snr = np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12))
     offsets = scans.offsets.astype(np.int64)
-    pass_over_splinters(z, covariance, log_snr, offsets)
+    if scans.cells:
+        pass_over_splinters(z, covariance, log_snr, offsets)
     return z, covariance, log_snr, offsets, scans.clutter_intensity(doppler), scans.pace(period)
 
 

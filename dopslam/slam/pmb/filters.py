@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from dopslam.models import unmeasured
 from dopslam.models.motion import CoordinatedTurn
 from dopslam.models.scans import Scans
 from dopslam.slam.filter import Capabilities, Info, Problem, run_steps
@@ -79,6 +80,8 @@ class Joint:
             intensity=(*problem.undetected, second),
             birth_intensity=problem.births,
             detection=problem.detection_of(scans),
+            **({} if scans.cells else {"outlier": 0.0}),
+            planar=unmeasured.planar(np.einsum("nii->ni", scans.covariance)),
         )
 
     def init(self, problem: Problem, rng: np.random.Generator) -> State:

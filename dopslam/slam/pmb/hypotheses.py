@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.compute.linalg import factorize, solve_lower_vector
-from dopslam.models.kernels import log_spreading, noise_entry, subtract
+from dopslam.models.kernels import log_spreading, measured_rows, noise_entry, subtract
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import visible_share
 from dopslam.slam.pmb.curvature import add_curvature
@@ -166,7 +166,7 @@ def local_hypotheses(density, n, scan, model):
                 raise ValueError("innovation covariance of a track is not positive definite")
             distance = solve_lower_vector(factor, m, nu)
             if distance < model.gate:
-                log_density = constant + log_shape(distance, m, model.robust)
+                log_density = constant + log_shape(distance, measured_rows(scan.covariance[p]), model.robust)
                 for i in range(m):
                     log_density -= math.log(factor[i, i])
                 log_detected[p, b] = log_prior + log_density
@@ -194,7 +194,7 @@ def local_hypotheses(density, n, scan, model):
 @compiled
 def log_shape(distance, m, robust):
     """ln of an m-dimensional density at a squared Mahalanobis distance, apart from -½ m ln 2π - ½ ln|S|: Gaussian, or
-    Student-t of `robust` degrees of freedom."""
+    Student-t of `robust` degrees of freedom; `m` counts the rows that were measured, the others are Gaussian."""
     if robust == np.inf:
         return -0.5 * distance
     scale = math.lgamma(0.5 * (robust + m)) - math.lgamma(0.5 * robust) - 0.5 * m * math.log(0.5 * robust)

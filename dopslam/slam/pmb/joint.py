@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, inlined, take
 from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
-from dopslam.models.kernels import linearize, noise_entry, subtract
+from dopslam.models.kernels import linearize, measured_rows, noise_entry, subtract
 from dopslam.slam.pmb.density import start_of
 from dopslam.slam.pmb.hypotheses import CELL
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
@@ -149,7 +149,8 @@ def doubt(mean, n, scan, kind, at, outlier, model, work, scale):
                 work.factor[i, j] = noise_entry(scan.covariance[p], kind[p], i, j)
         if factorize(work.factor, m):
             squared = solve_lower_vector(work.factor, m, work.nu)
-            scale[p] = max(1.0, (model.robust + squared) / (model.robust + m))
+            told = measured_rows(scan.covariance[p])
+            scale[p] = max(1.0, (model.robust + squared) / (model.robust + told))
 
 
 @compiled

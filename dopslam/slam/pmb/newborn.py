@@ -8,8 +8,8 @@ import numpy as np
 
 from dopslam.compute.compiled import clear, compiled, copy_matrix
 from dopslam.compute.linalg import cholesky, solve_lower
-from dopslam.models.kernels import SR, VA, linearize, noise_entry, starting_point, subtract
-from dopslam.slam.pmb.birth import fit_landmark
+from dopslam.models.kernels import SP, SR, VA, linearize, noise_entry, subtract
+from dopslam.slam.pmb.birth import HELD, first_guess, fit_landmark
 from dopslam.slam.pmb.density import BIRTHS
 
 RARE = 1e-3  # of the pruning threshold: below it a type of a track is dropped
@@ -27,7 +27,8 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
     """
     m = z.shape[0]
     predicted, by_state, by_landmark = np.empty(m), np.empty((m, n)), np.empty((m, 3))
-    factor, white = np.empty((m, m)), np.empty((m, 4 + at))  # columns: L⁻¹B, L⁻¹ν, L⁻¹AP
+    # Columns: L⁻¹B, L⁻¹ν, L⁻¹AP. The last row is the landmark's height where it is held, and else nothing.
+    factor, white = np.empty((m, m)), np.empty((m + 1, 4 + at))
     nu, none = np.empty(m), np.zeros((n, n))
     gain, own = np.empty((3, m)), np.empty((3, 3))
     point = mean[:n].copy()
@@ -52,24 +53,27 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
         if not cholesky(factor, m):
             return False
         solve_lower(factor, m, white)
+        if model.planar:
+            white[m, 2] = 1.0 / HELD
+            white[m, 3] = ((model.site[3] if kind == SP else model.site[2]) - x[2]) / HELD
         for c in range(3):  # take the span of L⁻¹B out of all columns to its right
             square = 0.0
-            for i in range(m):
+            for i in range(m + 1):
                 square += white[i, c] * white[i, c]
             for j in range(c + 1, 4 + at):
                 along = 0.0
-                for i in range(m):
+                for i in range(m + 1):
                     along += white[i, c] * white[i, j]
                 along /= square
-                for i in range(m):
+                for i in range(m + 1):
                     white[i, j] -= along * white[i, c]
         for j in range(at):
             shift[j] = 0.0
-            for i in range(m):
+            for i in range(m + 1):
                 shift[j] += white[i, 4 + j] * white[i, 3]
         for k in range(n):
             point[k] = mean[k] + shift[k]
-        valid, _, _ = fit_landmark(z, noise, point, none, kind, model.site, -np.inf, x, gain, own)
+        valid, _, _ = fit_landmark(z, noise, point, none, kind, model.site, model.planar, -np.inf, x, gain, own)
         if not valid:
             return False
     spread = share * (1.0 - share)
@@ -77,7 +81,7 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
         mean[i] += share * shift[i]
         for j in range(i + 1):  # one half, mirrored: symmetric to the last digit
             value = spread * shift[i] * shift[j]
-            for k in range(m):
+            for k in range(m + 1):
                 value -= share * white[k, 4 + i] * white[k, 4 + j]
             covariance[i, j] += value
             covariance[j, i] = covariance[i, j]
@@ -113,18 +117,20 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
             copy_matrix(covariance[:n, :n], spread)
             informed = False
             if model.inform and real[p] > 0.5 and kind != SR:
-                _, chi2, _ = fit_landmark(z, noise, state, spread, kind, model.site, -np.inf, x, gain, own)
+                _, chi2, _ = fit_landmark(
+                    z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own
+                )
                 if chi2 < PLAUSIBLE:
                     informed = inform(mean, covariance, n, at, z, noise, kind, x, real[p], model)
             if informed:
                 clear(spread)
-        valid, _, _ = fit_landmark(z, noise, state, spread, kind, model.site, -np.inf, x, gain, own)
+        valid, _, _ = fit_landmark(z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own)
         if not valid:  # the updated UE makes the path impossible; keep the prediction's point, widely
-            if not starting_point(z, state, kind, model.site, x):
+            if not first_guess(z, noise, state, kind, model.site, x):
                 for i in range(3):
                     x[i] = start[c, i]
             for i in range(3):
-                covariance[at + i, at + i] = 100.0
+                covariance[at + i, at + i] = HELD**2 if model.planar and i == 2 else 100.0
             continue
         linearize(state, x, kind, model.site, predicted, by_state, by_landmark)
         pull = np.zeros((3, n))

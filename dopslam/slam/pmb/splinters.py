@@ -53,7 +53,8 @@ def pass_over_splinters(z, covariance, log_snr, offsets):
                 log_snr[first + order[member[j]]] = -np.inf
             for a in range(m):
                 for b in range(m):
-                    covariance[p, a, b] = noise_entry(covariance[p], SR, a, b)
+                    free = noise_entry(covariance[p], SR, a, b)
+                    covariance[p, a, b] = max(covariance[p, a, b], free) if a == b else free
 
 
 def passed_over(log_snr: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
-from dopslam.models.kernels import VA, log_spreading
+from dopslam.models.kernels import VA, log_spreading, measured_rows
 from dopslam.slam.pmb.density import PMB, start_of
 from dopslam.slam.pmb.hypotheses import normalize
 from dopslam.slam.pmb.joint import joint_update, likeliest_block, workspace
@@ -123,7 +123,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
         if log_weight[a] > best:
             best, distance, rows = log_weight[a], d, 0
             for p in range(count):
-                rows += m if association[p] >= 0 else 0
+                rows += measured_rows(scan.covariance[p]) if association[p] >= 0 else 0
     log_weight = normalize(log_weight)
     if components == 1:
         mean, covariance = means[0], covariances[0]
