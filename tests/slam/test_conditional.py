@@ -356,9 +356,8 @@ def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
         np.array([900, 901]), np.array([1, 1]), np.full(2, int(Form.VA_AOD)), np.full(2, 0.95),
         chart.reference[[row, row]], two, np.tile(chart.gain[3 * row : 3 * row + 3], (2, 1, 1)), np.tile(block, (2, 1, 1)),
     )  # fmt: skip
-    copied = replace(
-        copied,
-        count=copied.count + 10,
+    copied = copied._replace(
+        seen=copied.seen + 10,
         hidden=np.where(np.isin(copied.owner, [len(chart.label), len(chart.label) + 1]), 0.9, copied.hidden),
     )
     left = {}

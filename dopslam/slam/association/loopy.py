@@ -79,18 +79,10 @@ def loopy_association(
     for name, value in (("log_missed", log_missed), ("log_detected", log_detected), ("log_new", log_new)):
         if np.isnan(value).any() or np.isposinf(value).any():
             raise FilterError(f"loopy_association: {name} holds NaN or +inf; check the likelihoods handed over")
-    nu, zeta, iterations, converged = _iterate(log_missed, log_detected, log_new, tolerance, max_iterations)
-    joint = np.concatenate([log_missed[:, None], log_detected + nu], axis=1)
-    joint = np.exp(joint - joint.max(axis=1, keepdims=True))
-    column = np.concatenate([log_new[:, None], zeta.T], axis=1)
-    column = np.exp(column - column.max(axis=1, keepdims=True))
+    ordered = (np.ascontiguousarray(a) for a in (log_missed, log_detected, log_new))
+    nu, zeta, marginal, new, iterations, converged = associate(*ordered, tolerance, max_iterations)
     return Association(
-        log_nu=nu,
-        log_zeta=zeta,
-        marginal=joint / joint.sum(axis=1, keepdims=True),
-        new=column[:, 0] / column.sum(axis=1),
-        iterations=int(iterations),
-        converged=bool(converged),
+        log_nu=nu, log_zeta=zeta, marginal=marginal, new=new, iterations=int(iterations), converged=bool(converged)
     )
 
 
@@ -137,6 +129,40 @@ def _iterate(log_missed, log_detected, log_new, tolerance, max_iterations):
                 prefix = _logaddexp(prefix, zeta[k, m])
         converged = change < tolerance
     return nu, zeta, iterations, converged
+
+
+@compiled
+def _shares(first, rest, result):
+    """exp of (first, rest…) over its sum, into result (1 + len(rest),)."""
+    top = first
+    for value in rest:
+        top = max(top, value)
+    result[0] = np.exp(first - top)
+    total = result[0]
+    for i in range(rest.shape[0]):
+        result[1 + i] = np.exp(rest[i] - top)
+        total += result[1 + i]
+    for i in range(rest.shape[0] + 1):
+        result[i] /= total
+
+
+@compiled
+def associate(log_missed, log_detected, log_new, tolerance, max_iterations):
+    """:func:`loopy_association` for compiled code, which sees to its inputs itself: the fields of :class:`Association`."""
+    features, measurements = log_detected.shape
+    nu, zeta, iterations, converged = _iterate(log_missed, log_detected, log_new, tolerance, max_iterations)
+    marginal, new = np.empty((features, measurements + 1)), np.empty(measurements)
+    weight, column = np.empty(max(features, measurements)), np.empty(1 + features)
+    for k in range(features):
+        for m in range(measurements):
+            weight[m] = log_detected[k, m] + nu[k, m]
+        _shares(log_missed[k], weight[:measurements], marginal[k])
+    for m in range(measurements):
+        for k in range(features):
+            weight[k] = zeta[k, m]
+        _shares(log_new[m], weight[:features], column)
+        new[m] = column[0]
+    return nu, zeta, marginal, new, iterations, converged
 
 
 def exact_association(log_missed: np.ndarray, log_detected: np.ndarray, log_new: np.ndarray) -> np.ndarray:

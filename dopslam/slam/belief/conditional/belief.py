@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dopslam.models.measurement import wrap
 from dopslam.slam.belief.motion import Motion, SpeedHeading
-from dopslam.slam.belief.records import Form, Parameters
+from dopslam.slam.belief.records import Form
 
 _STEP = 1e-4  # of the central differences, in a coordinate's own unit or in standard deviations
 _HEADING = 4  # coordinate of :class:`SpeedHeading` that is an angle
 
 
-@dataclass(frozen=True, slots=True)
-class Map:
+class Map(NamedTuple):
     """Features given the agent, x | s ~ N(center + G (s − s̄), C), one row per feature and type; row 0 is the line of sight.
 
     Attributes
@@ -24,21 +25,21 @@ class Map:
     first : (K + 2,) int, rows of feature k are first[k]:first[k + 1]
     form : (R,) int; weight : (R,) P(exists, type)
     hidden : (R,) probability that an obstacle or the end of its surface hides the feature, given that it exists
-    count : (R,) detections so far, an average over associations
+    seen : (R,) detections so far, an average over associations
     reference : (R, 2) mean and variance of the amplitude times the root of the spreading loss
     center : (R, 3) m; gain : (3R, d), G; spread : (3R, 3R) m², C
     """
 
-    label: np.ndarray
-    first: np.ndarray
-    form: np.ndarray
-    weight: np.ndarray
-    hidden: np.ndarray
-    count: np.ndarray
-    reference: np.ndarray
-    center: np.ndarray
-    gain: np.ndarray
-    spread: np.ndarray
+    label: NDArray[np.int64]
+    first: NDArray[np.int64]
+    form: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    hidden: NDArray[np.float64]
+    seen: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    center: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    spread: NDArray[np.float64]
 
     @property
     def existence(self) -> np.ndarray:
@@ -50,22 +51,13 @@ class Map:
         """(R,) feature of each row."""
         return np.repeat(np.arange(len(self.label)), np.diff(self.first))
 
-    def select(self, rows: np.ndarray) -> Map:
-        """Some of the rows (ascending, 0 among them); features without a row are dropped."""
-        owner, wide = self.owner[rows], (3 * rows[:, None] + np.arange(3)).ravel()
-        kept, counts = np.unique(owner, return_counts=True)
-        return Map(
-            self.label[kept], np.concatenate([[0], np.cumsum(counts)]), self.form[rows], self.weight[rows], self.hidden[rows],
-            self.count[rows], self.reference[rows], self.center[rows], self.gain[wide], self.spread[np.ix_(wide, wide)],
-        )  # fmt: skip
-
     def marginals(self, covariance: np.ndarray) -> Map:
         """Every row's own marginal and nothing else: no correlation with the agent (covariance (d, d)), none among rows."""
         wide = np.zeros_like(self.spread)
         for r in range(len(self.form)):
             at = slice(3 * r, 3 * r + 3)
             wide[at, at] = self.spread[at, at] + self.gain[at] @ covariance @ self.gain[at].T
-        return replace(self, gain=np.zeros_like(self.gain), spread=wide)
+        return self._replace(gain=np.zeros_like(self.gain), spread=wide)
 
     def joined(self, label, counts, form, weight, reference, center, gain, spread) -> Map:
         """With newborn features behind, independent of all others given the agent; spread (·, 3, 3), gain (·, 3, d)."""
@@ -78,7 +70,7 @@ class Map:
         return Map(
             np.concatenate([self.label, label]), np.concatenate([self.first, self.first[-1] + np.cumsum(counts)]),
             np.concatenate([self.form, form]), np.concatenate([self.weight, weight]), np.concatenate([self.hidden, np.zeros(len(form))]),
-            np.concatenate([self.count, np.ones(len(form))]),
+            np.concatenate([self.seen, np.ones(len(form))]),
             np.concatenate([self.reference, reference]), np.concatenate([self.center, center]),
             np.concatenate([self.gain, gain.reshape(new, -1)]), wide,
         )  # fmt: skip
@@ -161,44 +153,6 @@ def uncertain(dynamics: Dynamics, mean: np.ndarray, covariance: np.ndarray) -> n
         covariance = transition @ covariance @ transition.T + noise
         total += np.diag(covariance)
     return np.flatnonzero(total > 1e-24)
-
-
-def _divided(right: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """P⁻¹ B, and where P is singular (what is known exactly, or moves as one) its pseudo-inverse times B."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance / np.outer(scale, scale)
-    try:
-        result = np.linalg.solve(correlation, right / scale[:, None])
-    except np.linalg.LinAlgError:
-        result = np.linalg.pinv(correlation, rcond=1e-12, hermitian=True) @ (right / scale[:, None])
-    return result / scale[:, None]
-
-
-def predict_map(
-    parameters: Parameters, old: Map, covariance: np.ndarray, transition: np.ndarray, predicted: np.ndarray
-) -> Map:
-    """Survival, type chain and walks, and the features given the agent one step later.
-
-    With J = P Fᵀ P'⁻¹ (the smoother's gain) x | s' has G' = G J and C' = C + G (P − J P' Jᵀ) Gᵀ.
-    """
-    smooth = _divided(transition @ covariance, predicted).T
-    left = covariance - smooth @ predicted @ smooth.T
-    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
-    root = old.gain @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    spread = old.spread + root @ root.T
-    axes = 3 if parameters.spatial else 2
-    walk = np.zeros((len(old.form), 3))
-    walk[1:, :axes] = parameters.position_walk**2
-    spread[np.diag_indices(len(spread))] += walk.ravel()
-    weight = parameters.survival * old.weight
-    weight[0] += parameters.return_probability * (1 - old.weight[0])
-    if len(parameters.types) > 1:
-        # The chain over the types that are still considered.
-        counts = np.diff(old.first)
-        exists = np.add.reduceat(weight, old.first[:-1])
-        share = np.where(counts > 1, parameters.type_switch / np.maximum(counts - 1, 1), 0.0)
-        weight = weight + np.repeat(share, counts) * (np.repeat(exists, counts) - np.repeat(counts, counts) * weight)
-    return replace(old, weight=weight, gain=old.gain @ smooth, spread=spread)
 
 
 def empty_map(anchor: np.ndarray, size: int, sight: np.ndarray) -> Map:

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from dopslam.compute.compiled import compiled
+from dopslam.compute.compiled import compiled, inlined
 from dopslam.compute.linalg import cholesky, solve_lower
 from dopslam.slam.belief.conditional.linear import POSE, observe
 from dopslam.slam.belief.kernels import PS, VA, VA_AOD
@@ -45,7 +45,7 @@ def starting_point(form, pose, anchor, scan, m, x):
     return True
 
 
-@compiled
+@inlined
 def birth(form, pose, by_coordinate, covariance, axes, anchor, scan, m, x, gain, spread):
     """ln of the birth integral of one measurement and form, and x̂, G (3, d), (BᵀR⁻¹B)⁻¹ (3, 3) given the agent.
 

@@ -15,20 +15,18 @@ from functools import cached_property
 import numpy as np
 
 from dopslam.models.detection import SnrDetection
-from dopslam.slam.association.loopy import Association, loopy_association
 from dopslam.slam.belief.belief import effective_size, normalized, systematic
 from dopslam.slam.belief.conditional import particles as sampling
-from dopslam.slam.belief.conditional.amplitude import amplitude_messages, amplitude_table, log_loss, log_losses
-from dopslam.slam.belief.conditional.belief import Belief, Dynamics, empty_map, predict_map, uncertain
+from dopslam.slam.belief.conditional import step as compiled
+from dopslam.slam.belief.conditional.amplitude import amplitude_table, log_loss, log_losses
+from dopslam.slam.belief.conditional.belief import Belief, Dynamics, empty_map, uncertain
 from dopslam.slam.belief.conditional.births import births
+from dopslam.slam.belief.conditional.course import Course, course_of
 from dopslam.slam.belief.conditional.estimate import estimate_of
 from dopslam.slam.belief.conditional.linear import Measured, measured
-from dopslam.slam.belief.conditional.update import linearized_rows, pair_densities, sequential_update
 from dopslam.slam.belief.motion import Motion
 from dopslam.slam.belief.rao_blackwell import RaoBlackwell
 from dopslam.slam.belief.records import Info, Parameters, Scan
-
-ESTABLISHED = 2.5  # detections from which a feature may be hidden
 
 
 @dataclass(frozen=True)
@@ -80,6 +78,20 @@ class Conditional:
         return amplitude_table(parameters.amplitude, self.detection, parameters.reacquisition, parameters.amplitude_end)
 
     @cached_property
+    def _course(self) -> Course:
+        return course_of(self.motion)
+
+    @cached_property
+    def _choices(self) -> compiled.Choices:
+        p = self.parameters
+        numbers = (p.survival, p.return_probability, p.type_switch, p.position_walk, p.amplitude_walk)
+        return compiled.Choices(
+            np.array(p.anchor, float), self._table, 3 if p.spatial else 2, len(p.types), *map(float, numbers),
+            bool(p.rescale_covariance), int(self.iterations), float(self.pair_gate), float(self.gate), float(self.hide),
+            float(self.unhide), float(self.double), float(self.prune_type * p.pruning_threshold),
+        )  # fmt: skip
+
+    @cached_property
     def _forms(self) -> np.ndarray:
         return np.array([int(form) for form in self.parameters.types], dtype=np.int64)
 
@@ -127,114 +139,32 @@ class Conditional:
         """Predict, associate, update agent and features, add births, prune, estimate."""
         if belief.cloud is not None:
             return self._first(rng, belief, scan)
-        parameters = self.parameters
+        choices, course = self._choices, self._course
         rows = measured(scan, self.doppler)
         log_false = self._log_false(scan, rows)
-        prior, centers, noise = self._predict(belief)
-        pose, full = self.dynamics.pose(prior.mean)
-        by_coordinate = np.ascontiguousarray(full[:, prior.active])
-        anchor = np.asarray(parameters.anchor, float)
-        chart = prior.map
-        slopes = linearized_rows(chart.form, chart.center, pose, by_coordinate, anchor, rows)
-        mean = prior.mean[prior.active]
-        loss = log_losses(chart.form, pose, chart.center, anchor)
-        u = chart.reference[:, 0] * np.exp(-0.5 * loss)
-        variance = chart.reference[:, 1] * np.exp(-loss) + (parameters.amplitude_walk * u) ** 2
-        log_amplitude, amplitudes = amplitude_messages(
-            self._table, u, variance, np.ascontiguousarray(scan.amplitude, float)
+        prior = belief.mean, belief.covariance
+        moved, covariance, noise, chart, pose, by_coordinate = compiled.predict(
+            course, choices, *prior, belief.active, belief.map
         )
-        # The line of sight has a chain of its own; what was hardly ever seen is no feature that something hides.
-        hide = np.where(chart.count >= ESTABLISHED, self.hide, 0.0)
-        hidden = chart.hidden * (1 - self.unhide) + (1 - chart.hidden) * hide
-        hidden[0] = 0.0
-        seen_missed = np.log(hidden + (1 - hidden) * np.exp(log_amplitude[:, 0]))
-        log_amplitude = log_amplitude + np.log1p(-hidden)[:, None]
-        log_amplitude[:, 0] = seen_missed
-        scale = np.ones(log_amplitude[:, 1:].shape)
-        if parameters.rescale_covariance:
-            scale = (scan.amplitude / amplitudes[:, 1:, 0]) ** 2
-        log_density, cell = pair_densities(
-            chart.form, mean, prior.covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows,
-            scale, self.pair_gate, np.square(scan.amplitude),
+        log_birth = self._log_births(pose, by_coordinate, covariance, rows)[0]
+        whole, narrow, after, marginal, new, born, exact = compiled.update(
+            course, choices, moved, covariance, belief.active, chart, pose, by_coordinate, rows,
+            np.ascontiguousarray(scan.amplitude, float), log_false, log_birth,
         )  # fmt: skip
-        # Nothing hides a feature and not what is seen within its resolution cell: of two of one path one is left.
-        log_amplitude[1:, 0] += np.log(self.double) * cell.any(axis=1)[1:]
-        log_born = self._log_births(pose, by_coordinate, prior.covariance, rows)[0] - log_false[:, None]
-        association = self._associate(chart, log_density, log_amplitude, log_false, log_born)
-        owner = chart.owner
-        log_pair = association.log_nu[owner] + log_amplitude[:, 1:] - log_false
-        log_pair[association.marginal[owner, 1:] < self.gate] = -np.inf
-        log_pair[~np.isfinite(log_density)] = -np.inf
-        exists = chart.existence
-        order = np.concatenate([[0], 1 + np.argsort(-exists[1:], kind="stable")])
-        inputs = (
-            chart.form, chart.first, order, chart.weight, mean, prior.covariance, chart.center, chart.gain, chart.spread,
-        )  # fmt: skip
-        log_missed = np.ascontiguousarray(log_amplitude[:, 0])
-        start, point = mean, chart.center
-        for iteration in range(self.iterations):
-            if iteration > 0:
-                slopes = linearized_rows(chart.form, point, pose, by_coordinate, anchor, rows)
-            updated = sequential_update(
-                *inputs, start, point, pose, *slopes, anchor, rows, scale, log_pair, log_missed,
-                self.prune_type * parameters.pruning_threshold,
-            )  # fmt: skip
-            linearized, moved = (start, point), updated[0] - start
-            start, point = updated[0], updated[2]
-            whole = prior.mean.copy()
-            whole[prior.active] = start
-            if iteration + 1 < self.iterations:
-                if np.all(moved**2 < 1e-2 * np.diag(updated[1])) and iteration > 0:
-                    break
-                pose_next, full = self.dynamics.pose(whole)
-                pose, by_coordinate = pose_next, np.ascontiguousarray(full[:, prior.active])
-        _, covariance, center, gain, spread, share = updated[:6]
-        weight = share.sum(axis=1)
-        reference = self._references(share, amplitudes, chart, whole, center, anchor)
-        hidden = np.where(weight > 0, share[:, 0] / np.maximum(weight, 1e-300), 0.0) * hidden * np.exp(-seen_missed)
-        count = chart.count + 1 - share[:, 0] / np.maximum(weight, 1e-300)
-        chart = replace(
-            chart,
-            weight=weight,
-            hidden=hidden,
-            count=count,
-            center=center,
-            gain=gain,
-            spread=spread,
-            reference=reference,
-        )
-        posterior = replace(prior, mean=whole, covariance=covariance, map=chart)
-        effective = float("nan")
-        if self._sampled:
-            exact = (
-                (prior.map.form, prior.map.first, prior.map.weight),
-                (*linearized, *updated[6:10]),
-                slopes[1],
-                scale,
-                log_pair,
-                log_missed,
-            )
-            posterior, effective = self._resample(rng, posterior, prior, centers, noise, exact, rows)
-        return self._finish(
-            posterior, scan, rows, association.new, association.marginal, log_false, log_born, effective, 0
-        )
-
-    def _predict(self, belief: Belief):
-        """Prior belief, and the components of the predicted density where the agent is sampled."""
-        active = belief.active
-        moved, transition, noise = self.dynamics.linearize(belief.mean)
-        transition, noise = transition[np.ix_(active, active)], noise[np.ix_(active, active)]
-        covariance = transition @ belief.covariance @ transition.T + noise
-        chart = predict_map(self.parameters, belief.map, belief.covariance, transition, covariance)
-        centers = None
+        posterior, effective = replace(belief, mean=whole, covariance=narrow, map=after), float("nan")
         if belief.points is not None:
-            h = self.kernel
-            mean = belief.mean[active]
-            whole = np.tile(belief.mean, (len(belief.points), 1))
-            whole[:, active] = mean + np.sqrt(1 - h**2) * (belief.points - mean)
-            centers = self.dynamics.moved(whole, moved)[:, active]
-            noise = noise + h**2 * (covariance - noise)
-        return replace(belief, mean=moved, covariance=covariance, map=chart), centers, noise
+            centers, noise = self._centers(belief, moved, covariance, noise)
+            told = moved[belief.active], covariance, chart
+            posterior, effective = self._resample(rng, posterior, told, centers, noise, exact, rows)
+        return self._finish(posterior, scan, rows, new, marginal, born, effective, 0)
+
+    def _centers(self, belief: Belief, moved, covariance, noise):
+        """Centers (N, d) and covariance (d, d) of the components of the predicted density, one per particle."""
+        active, h = belief.active, self.kernel
+        mean = belief.mean[active]
+        whole = np.tile(belief.mean, (len(belief.points), 1))
+        whole[:, active] = mean + np.sqrt(1 - h**2) * (belief.points - mean)
+        return self.dynamics.moved(whole, moved)[:, active], noise + h**2 * (covariance - noise)
 
     def _log_false(self, scan: Scan, rows: Measured) -> np.ndarray:
         """(M,) ln of the false alarms' intensity in the space of the rows used."""
@@ -250,33 +180,13 @@ class Conditional:
         )  # fmt: skip
         return log_birth + constant + np.log(parameters.prior), *born
 
-    def _associate(self, chart, log_density, log_amplitude, log_false, log_born) -> Association:
-        """Loopy data association, everything relative to the false alarms."""
-        log_weight = np.log(np.maximum(chart.weight, 1e-300))
-        by_row = log_weight[:, None] + log_density + log_amplitude[:, 1:] - log_false
-        log_detected = np.logaddexp.reduceat(by_row, chart.first[:-1], axis=0)
-        missed = np.add.reduceat(chart.weight * np.exp(log_amplitude[:, 0]), chart.first[:-1])
-        log_missed = np.log(missed + np.maximum(1 - chart.existence, 1e-12))
-        return loopy_association(log_missed, log_detected, np.logaddexp(0.0, np.logaddexp.reduce(log_born, axis=1)))
-
-    def _references(self, share, amplitudes, chart, whole, center, anchor):
-        """(R, 2) amplitude references, matched over missed and associated measurements."""
-        total = share.sum(axis=1, keepdims=True)
-        p = np.where(total > 1e-280, share / np.maximum(total, 1e-280), np.eye(1, share.shape[1]))
-        mean = np.sum(p * amplitudes[:, :, 0], axis=1)
-        variance = np.sum(p * (amplitudes[:, :, 1] + (amplitudes[:, :, 0] - mean[:, None]) ** 2), axis=1)
-        pose, _ = self.dynamics.pose(whole)
-        loss = np.exp(log_losses(chart.form, pose, center, anchor))
-        return np.column_stack([mean * np.sqrt(loss), variance * loss])
-
-    def _resample(self, rng, posterior: Belief, prior: Belief, centers, noise, exact, rows):
+    def _resample(self, rng, posterior: Belief, told, centers, noise, exact, rows):
         """Exact weights of particles from the linearized proposal; the agent becomes theirs, the map follows it."""
         assert posterior.log_weight is not None
         active, chart = posterior.active, posterior.map
-        (form, first, weight), before, by_feature, scale, log_pair, log_missed = exact
-        before_prior = prior.mean[active], prior.covariance
+        *before_prior, before_chart = told
         means, covariance = sampling.proposal(
-            centers, noise, before_prior, (posterior.mean[active], posterior.covariance), self.widening
+            centers, noise, tuple(before_prior), (posterior.mean[active], posterior.covariance), self.widening
         )
         size = len(means)
         chosen = systematic(rng, normalized(posterior.log_weight), size)
@@ -284,8 +194,8 @@ class Conditional:
         whole = np.tile(posterior.mean, (size, 1))
         whole[:, active] = points
         log_weight = sampling.log_messages(
-            form, first, weight, points, self.dynamics.poses(whole), *before, by_feature,
-            np.asarray(self.parameters.anchor, float), rows, scale, log_pair, log_missed,
+            before_chart.form, before_chart.first, before_chart.weight, points, self.dynamics.poses(whole), *exact[:7],
+            self._choices.anchor, rows, *exact[7:],
         )  # fmt: skip
         log_weight += sampling.quadratic(points - means[chosen], covariance)
         log_weight -= sampling.quadratic(points - centers[chosen], noise)
@@ -300,21 +210,15 @@ class Conditional:
         whole[active] = mean
         return replace(
             posterior, mean=whole, covariance=0.5 * (spread + spread.T), points=mean + points, log_weight=np.zeros(size),
-            map=replace(chart, center=center),
+            map=chart._replace(center=center),
         ), effective  # fmt: skip
 
-    def _finish(self, belief, scan, rows, new, marginal, log_false, log_born, effective, stages):
+    def _finish(self, belief, scan, rows, new, marginal, log_new, effective, stages):
         """Births, pruning, estimate."""
         parameters = self.parameters
-        chart = belief.map
-        exists = np.repeat(chart.existence, np.diff(chart.first))
-        keep = (exists > parameters.pruning_threshold) & (chart.weight > self.prune_type * exists)
-        keep[0] = True
-        chart = chart.select(np.flatnonzero(keep))
-        log_new = np.logaddexp.reduce(log_born, axis=1)
+        belief = replace(belief, map=compiled.pruned(belief.map, parameters.pruning_threshold, self.prune_type))
         existence = new * np.exp(log_new - np.logaddexp(0.0, log_new))
         likely = np.flatnonzero(existence > parameters.pruning_threshold)
-        belief = replace(belief, map=chart)
         if likely.size:
             belief = self._born(belief, scan, rows, likely, existence[likely])
         if not self.correlation:
@@ -390,9 +294,10 @@ class Conditional:
         log_false = self._log_false(scan, rows)
         by_coordinate = np.ascontiguousarray(full[:, active])
         log_born = self._log_births(pose, by_coordinate, covariance, rows)[0] - log_false[:, None]
+        log_new = np.logaddexp.reduce(log_born, axis=1)
         new = 1 - info.association[0, 1:]
         belief = replace(
             belief, mean=mean, covariance=covariance, points=points, cloud=None, map=chart,
             log_weight=None if points is None else np.zeros(len(points)),
         )  # fmt: skip
-        return self._finish(belief, scan, rows, new, info.association, log_false, log_born, info.effective, info.stages)
+        return self._finish(belief, scan, rows, new, info.association, log_new, info.effective, info.stages)

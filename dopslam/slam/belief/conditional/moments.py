@@ -39,9 +39,7 @@ def _inverse(matrix, size):
 
 
 @compiled
-def match(
-    part, chosen, active, low, high, means, covariances, centers, gains, pull, mean, covariance, center, gain, spread
-):
+def match(part, chosen, low, high, means, covariances, centers, gains, pull, mean, covariance, center, gain, spread):
     """Moments of the components' mixture, written into mean, covariance, center, gain and spread.
 
     Parameters
@@ -53,7 +51,7 @@ def match(
     centers (active, 3R), gains (active, 3R, d) : the features given the agent, at its mean
     pull (active, 3R, n) : U, what the measurement takes off C
     """
-    size, wide = mean.shape[0], gain.shape[0]
+    active, size, wide = chosen.shape[0], mean.shape[0], gain.shape[0]
     groups, n = part.shape[0], pull.shape[2]
     group_mean, group_inverse = np.zeros((groups, size)), np.zeros((groups, size, size))
     group_covariance = np.zeros((groups, size, size))

@@ -337,7 +337,7 @@ def sequential_update(
                     centers[q, i] += pull[q, i, b] * left[b, size]
                     for j in range(size):
                         gains[q, i, j] -= pull[q, i, b] * left[b, j]
-        match(part, used_components, active, low, high, means, covariances, centers, gains, pull, mean, covariance, center,
+        match(part, used_components[:active].copy(), low, high, means, covariances, centers, gains, pull, mean, covariance, center,
                gain, spread)  # fmt: skip
     return (
         mean, covariance, center, gain, spread, share, before_mean, before_center, before_gain, before_spread, log_evidence,
