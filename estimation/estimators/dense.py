@@ -120,7 +120,7 @@ class DenseSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform = model.waveform
         delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling)
-        arrivals = direction_grid(arrival_view, model.receiver, retained)
+        arrivals = direction_grid(arrival_view, model.heard, retained)
         departures = direction_grid(departure_view, model.transmitter, retained)
         speeds = speed_grid(model, max_speed, oversampling, registers=False)
         lobes = LobeMap.build(model, delay.delays, arrivals, departures, speeds)
@@ -132,7 +132,7 @@ class DenseSearch:
         ]
         steps = []
         for array, grid, metrics, part in (
-            (model.receiver, arrivals, lobes.arrival_metric, slice(1, 3)),
+            (model.heard, arrivals, lobes.arrival_metric, slice(1, 3)),
             (model.transmitter, departures, lobes.departure_metric, slice(3, 5)),
         ):
             step = ring(metrics, 0.55, model.active[part])

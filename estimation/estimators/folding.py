@@ -118,7 +118,7 @@ class Folding:
         pilots = Pairs.build(model.waveform.frequencies[:, None])
         if model.schedule.precoders is None and model.schedule.combiners is None:
             symbols = Pairs.build(model.schedule.times[:, None])
-            arrays = Pairs.of_array(model.receiver), Pairs.of_array(model.transmitter)
+            arrays = Pairs.of_array(model.heard), Pairs.of_array(model.transmitter)
             return Folding((pilots, symbols, *arrays), arrays)
         others = model.bands[0].modes[2:]
         rest = Pairs.none(int(np.prod(model.shape[1:])))

@@ -23,6 +23,7 @@ from ..signal.noise import white_noise
 from ..signal.paths import Geometry, PathTable
 from . import report
 from .beyond import beyond
+from .colored import port_covariance
 from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .floor import Floor
@@ -60,6 +61,9 @@ class Nomp:
     threshold : fixed threshold on rho instead of a false-alarm rate
     dense_multipath : estimate the delay profile of dense multipath from the residual and whiten it (the reported noise
         variance is then relative to that profile, that is 1)
+    white : take the noise for equal and independent at all ports; otherwise, where more seems to arrive than paths explain,
+        its covariance over the ports is estimated and the burst searched anew (the reported noise variance is then the
+        mean over the ports)
     resolve : look for close pairs: candidates count by what they add to the known paths, and pairs are tried in place of
         single paths; sensible once a joint fit has converged
     search_options : further arguments of the coarse search's ``build`` (oversampling, retained, ...)
@@ -78,6 +82,7 @@ class Nomp:
     calibration: int = 0
     threshold: float | None = None
     dense_multipath: bool = False
+    white: bool = False
     resolve: bool = True
     search_options: dict = field(default_factory=dict)
     _search: Search = field(init=False, repr=False)
@@ -160,7 +165,11 @@ class Nomp:
             start = (prior.table if isinstance(prior, Detections) else prior).geometry
         if not self.dense_multipath:
             energy = energy if white is signal else None
-            return self._reported(*self._search_all(self.model, white, start, noise_variance, energy=energy))
+            data, lin, noise = self._search_all(self.model, white, start, noise_variance, energy=energy)
+            if noise.ports is not None:
+                told = replace(self.model, port_covariance=noise.ports)
+                return replace(self, model=told, threshold=self.level, white=True).run(signal, prior=prior)
+            return self._reported(data, lin, noise)
         model = self.model
         for inflation in (10.0, 1.0):
             # First only what stands out clearly, lest false paths carry off the dense multipath
@@ -190,6 +199,7 @@ class Nomp:
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
         efforts, spare = self._search.efforts, None
+        due = np.inf if self.white or model.weight is not None or model.subbands > 1 else MANY
         clock = Clock.of(self.max_seconds)
         while efforts and (lin is None or len(lin.gain) < self.max_paths) and not clock.over:
             variance = noise.variance(lin)
@@ -201,7 +211,13 @@ class Nomp:
             elif lin is not None:
                 spare = residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain, spare)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
+            endless = lin is not None and len(lin.gain) >= due and int(np.sum(statistic > self.level)) >= SEVERAL
             found, statistic = self._credible(data, lin, variance, found, statistic)
+            if endless and lin is not None:
+                due *= 2
+                noise = self._heard(model, white, lin, noise)
+                if noise.ports is not None:
+                    return data, lin, noise
             accepted, more = self._accepted(model, found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
@@ -221,7 +237,14 @@ class Nomp:
             if not len(accepted) or (not more if len(efforts) == 1 else faint):
                 efforts.pop(0)
         limited = bool(efforts)
-        return data, self._pruned(data, lin, noise, clock), replace(noise, limited=limited)
+        if limited and lin is not None and due < np.inf:
+            noise = self._heard(model, white, lin, noise)
+        lin = self._pruned(data, lin, noise, clock) if noise.ports is None else lin
+        return data, lin, replace(noise, limited=limited)
+
+    def _heard(self, model: SignalModel, white, lin: Linearization, noise: Noise) -> Noise:
+        """The noise with the covariance of the ports, if what paths leave is not white over them."""
+        return replace(noise, ports=port_covariance(model, white - signal_of(model, lin.blocks, lin.gain)))
 
     def _credible(self, data: Projector, lin: Linearization | None, variance: float, found: Geometry, statistic):
         """Candidates with statistics in terms of the noise about them, and those beyond the searched region where they
@@ -365,6 +388,10 @@ class Nomp:
         return None
 
 
+MANY = 8
+"""Paths from which on it is asked, if there are still more, whether they are none; again at twice as many."""
+SEVERAL = 3
+"""Candidates that make it worth asking."""
 STRONG = 4.0
 """Above this multiple of the threshold the strongest candidate may be a side lobe of a path outside the searched region."""
 FAINT = 10.0

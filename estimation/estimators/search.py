@@ -137,10 +137,10 @@ class StagedSearch:
         def sent(response):
             return response.conj() @ book.T
 
-        arrivals = direction_grid(arrival_view, model.receiver, retained, received)
+        arrivals = direction_grid(arrival_view, model.heard, retained, received)
         departures = direction_grid(departure_view, model.transmitter, retained, sent)
         vectors = [
-            received(model.receiver.response(arrivals)[0]).T,
+            received(model.heard.response(arrivals)[0]).T,
             sent(model.transmitter.response(departures)[0]).T,
         ]
         arrival, departure = (v / np.maximum(np.linalg.norm(v, axis=0), 1e-300) for v in vectors)
@@ -241,7 +241,7 @@ class StagedSearch:
         doppler = np.exp(-2j * np.pi / model.waveform.wavelength * times * found.speed[:, None, None])
         still = data * np.repeat(doppler, data.shape[2] // doppler.shape[2], axis=2)
         sweeps = self.phase.shape[2]
-        received = self.received(model.receiver.response(found.arrival)[0])
+        received = self.received(model.heard.response(found.arrival)[0])
         sent = self.sent(model.transmitter.response(found.departure)[0])
         slots = self.order[:, :sweeps]
         beams = np.einsum("pnm,pm->pn", still, received.conj())[:, slots].sum(axis=2)
@@ -256,7 +256,7 @@ class StagedSearch:
                 self.departures,
                 received,
             ),
-            ("arrival", ports, self.received(model.receiver.response(self.arrivals)[0]), self.arrivals, sent),
+            ("arrival", ports, self.received(model.heard.response(self.arrivals)[0]), self.arrivals, sent),
         ):
             power = np.abs(values @ vectors.conj().T) ** 2 / np.maximum(np.sum(np.abs(vectors) ** 2, axis=1), 1e-300)
             power /= np.maximum(scale * np.sum(np.abs(squared) ** 2, axis=1)[:, None], 1e-300)

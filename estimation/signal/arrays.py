@@ -161,13 +161,50 @@ class Array:
         return vectors if self.orientation is None else vectors @ self.orientation.as_matrix().T
 
 
+@dataclass(frozen=True, eq=False)
+class Through:
+    """An array seen through a matrix (M', M) that is applied to its elements: a network behind it, or what makes its noise
+    white.
+    """
+
+    array: Manifold
+    matrix: Complex
+
+    @property
+    def elements(self) -> int:
+        """Number of outputs M'."""
+        return len(self.matrix)
+
+    @property
+    def normal(self) -> Float | None:
+        """As the array's own."""
+        return getattr(self.array, "normal", None)
+
+    @property
+    def sight(self) -> Sight:
+        """What the array can tell of a direction."""
+        return self.array.sight
+
+    @property
+    def observable(self) -> tuple[bool, bool]:
+        """Whether azimuth and elevation can be told."""
+        return self.array.observable
+
+    def faces(self, directions: Float) -> np.typing.NDArray[np.bool_]:
+        """Which directions (P, 3) the array can see without ambiguity."""
+        return self.array.faces(directions)
+
+    def response(self, directions: Float, tangents: Float | None = None, scale: float = 1.0) -> tuple[Complex, Complex]:
+        """Responses (P, M') and derivatives (P, 2, M') along the tangents."""
+        steering, derivative = self.array.response(directions, tangents, scale)
+        return steering @ self.matrix.T, derivative @ self.matrix.T
+
+
 def mirror_of(array: Manifold) -> Float | None:
     """(3,) normal of the plane at which reflected directions may look the same: where a planar array or a line of
     elements faces; None for any other.
     """
-    if array.sight.axis is not None:
-        return array.sight.side
-    return array.normal if isinstance(array, Array) else None
+    return array.sight.side if array.sight.axis is not None else getattr(array, "normal", None)
 
 
 def ula(count: int, spacing: float = 0.5, **options) -> Array:

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import ModelError, SignalError
-from .arrays import Complex, Manifold
+from .arrays import Complex, Manifold, Through
 from .directions import Float
 from .modes import DelayMode, Mode, ReceiveMode, TimeMode, TransmitMode
 from .paths import Geometry
@@ -48,6 +48,8 @@ class SignalModel:
     pilot_covariance : (K, K) noise covariance over the pilots in units of the noise variance, equal for all
         symbols and ports (dense
         multipath); None for white noise
+    port_covariance : noise covariance (M, M) of the receive ports, or one behind each combiner (S, M, M), in units of the
+        noise variance; None for elements of equal and independent noise: the identity, and ``W_n^H W_n`` behind combiners
     """
 
     waveform: Waveform
@@ -56,6 +58,7 @@ class SignalModel:
     receiver: Manifold
     subbands: int = 1
     pilot_covariance: Complex | None = None
+    port_covariance: Complex | None = None
 
     def __post_init__(self) -> None:
         schedule = self.schedule
@@ -77,7 +80,15 @@ class SignalModel:
             if self.pilot_covariance.shape != (size, size) or self.subbands > 1:
                 raise ModelError(f"SignalModel: pilot_covariance must be ({size}, {size}) and needs subbands=1")
             self.pilot_factor  # noqa: B018  a singular covariance must fail here
-        self._whitener  # noqa: B018  a singular combiner must fail here, not in a search
+        if self.port_covariance is not None:
+            ports, settings = self.shape[2], 1 if schedule.combiners is None else len(schedule.combiners)
+            given = np.shape(self.port_covariance)
+            if given not in ((ports, ports), (settings, ports, ports)):
+                raise ModelError(
+                    f"SignalModel: port_covariance must be ({ports}, {ports}) or ({settings}, {ports}, {ports}), "
+                    f"got {given}"
+                )
+        self._whitener  # noqa: B018  a singular combiner or covariance must fail here, not in a search
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -136,22 +147,42 @@ class SignalModel:
             }
         )
         time = TimeMode(schedule.times, self.waveform.wavelength, **swept, **combined)
-        receive = () if combined else (ReceiveMode(self.receiver),)
+        receive = () if combined else (ReceiveMode(self.heard),)
         transmit = () if swept else (TransmitMode(self.transmitter),)
         return (time, *receive, *transmit)
 
     @cached_property
-    def _whitener(self) -> Complex | None:
-        """(S, M, M) inverse Cholesky factors of W^H W, or None without combiners."""
+    def heard(self) -> Manifold:
+        """The receiver as its whitened noise has it; combiners whiten behind it."""
+        if self.schedule.combiners is not None or self._whitener is None:
+            return self.receiver
+        return Through(self.receiver, self._whitener[0])
+
+    @cached_property
+    def port_noise(self) -> Complex | None:
+        """(S, M, M) noise covariance of the ports for each combiner (S = 1 without), or None if it is the identity."""
         combiners = self.schedule.combiners
-        if combiners is None:
+        if self.port_covariance is None:
+            return None if combiners is None else combiners.conj().swapaxes(1, 2) @ combiners
+        given = np.asarray(self.port_covariance, complex)
+        settings = 1 if combiners is None else len(combiners)
+        return np.broadcast_to(given, (settings, *given.shape[-2:]))
+
+    @cached_property
+    def _whitener(self) -> Complex | None:
+        """(S, M, M) inverse Cholesky factors of the ports' noise covariance, or None where it is the identity."""
+        if self.port_noise is None:
             return None
-        gram = combiners.conj().swapaxes(1, 2) @ combiners
-        if np.any(np.linalg.cond(gram) > 1e10):
+        if np.any(np.linalg.cond(self.port_noise) > 1e10):
             raise ModelError(
                 "SignalModel: a combining matrix W_n has linearly dependent columns; its noise cannot be whitened"
+                if self.port_covariance is None
+                else "SignalModel: port_covariance is singular; its noise cannot be whitened"
             )
-        return np.linalg.inv(np.linalg.cholesky(gram))
+        try:
+            return np.linalg.inv(np.linalg.cholesky(self.port_noise))
+        except np.linalg.LinAlgError:
+            raise ModelError("SignalModel: port_covariance is not positive definite") from None
 
     @cached_property
     def pilot_factor(self) -> Complex:
@@ -184,17 +215,21 @@ class SignalModel:
         """The signal with white noise (a copy only where needed)."""
         if self.white or self._whitener is None:
             return signal
-        per_symbol = self._whitener.astype(signal.dtype)[self.schedule.combiner_index]
-        return np.einsum("nij,knj...->kni...", per_symbol, signal)
+        return self._at_ports(self._whitener, signal)
 
     def color(self, noise: Complex) -> Complex:
-        """White noise of the model's shape given the covariance ``W_n^H W_n``; a whitened signal likewise
+        """White noise of the model's shape given the covariance of the ports; a whitened signal likewise
         returns to its ports.
         """
         if self.white or self._whitener is None:
             return noise
-        per_symbol = np.linalg.inv(self._whitener).astype(noise.dtype)[self.schedule.combiner_index]
-        return np.einsum("nij,knj...->kni...", per_symbol, noise)
+        return self._at_ports(np.linalg.inv(self._whitener), noise)
+
+    def _at_ports(self, matrices: Complex, signal: Complex) -> Complex:
+        matrices = matrices.astype(signal.dtype)
+        if self.schedule.combiners is None:
+            return np.moveaxis(np.tensordot(matrices[0], signal, axes=(1, 2)), 0, 2)
+        return np.einsum("nij,knj...->kni...", matrices[self.schedule.combiner_index], signal)
 
     def checked(self, signal) -> np.typing.NDArray[np.complex64]:
         """The signal as a contiguous complex64 array; errors as in :meth:`measured`."""
