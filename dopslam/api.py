@@ -26,8 +26,8 @@ from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
+from dopslam.pipeline import ahead, stages
 from dopslam.pipeline import problem as build
-from dopslam.pipeline import stages
 from dopslam.pipeline.judge import judged
 from dopslam.pipeline.stages import SyntheticSignal, Truth
 from dopslam.records import DetectionSeries
@@ -109,7 +109,9 @@ def slam(problem: Problem, detections: DetectionSeries, chosen: Filter | str, se
     FilterError
         If the filter cannot do what the problem asks, or fails.
     """
-    return filtering.run(problem, detections, FILTERS[chosen]() if isinstance(chosen, str) else chosen, seed)[0]
+    used = FILTERS[chosen]() if isinstance(chosen, str) else chosen
+    names = [name for name, kind in FILTERS.items() if type(used) is kind]
+    return ahead.sooner(names, filtering.run, problem, detections, used, seed)[0]
 
 
 def bound(

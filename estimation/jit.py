@@ -190,7 +190,7 @@ class _Cache(FunctionCache):
             self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             if new:
                 prune(self._folder.parent)
-            with _locked(self._folder / "lock"):
+            with locked(self._folder / "lock"):
                 try:
                     super().save_overload(sig, data)
                 except (pickle.UnpicklingError, EOFError, ValueError):  # a torn index: begin a new one
@@ -199,17 +199,25 @@ class _Cache(FunctionCache):
 
 
 @contextlib.contextmanager
-def _locked(file: Path) -> Iterator[None]:
-    """Hold a lock between processes: two that add to one index at once would name their entries alike."""
+def locked(file: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold a lock between processes; says whether it is held, which without waiting it may not be.
+
+    Two processes that add to one index at once would name their entries alike.
+    """
     try:
         import fcntl
     except ImportError:  # not a POSIX system; numba guards against errors of its own there
-        yield
+        yield True
         return
     with open(file, "ab") as handle:
-        with contextlib.suppress(OSError):  # a network disk without locks
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
+        held = True
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            held = False
+        except OSError:  # a network disk without locks
+            pass
+        yield held
 
 
 @cache

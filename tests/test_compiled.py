@@ -1,5 +1,6 @@
 """The cache of compiled kernels: never stale, shared safely, dispensable."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -7,10 +8,13 @@ import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 from dopslam.compute.compiled import compiled
-from dopslam.pipeline import ahead
+from dopslam.config.scenario import load
+from dopslam.filters import FILTERS
+from dopslam.pipeline import ahead, stages
 from estimation import jit
 
 CALLEE = """
@@ -169,3 +173,36 @@ def test_filters_that_were_never_compiled_here_are_compiled_beside_and_the_proce
 def test_without_a_folder_nothing_is_compiled_ahead(monkeypatch):
     monkeypatch.setattr(ahead.jit, "cache_folder", lambda: None)
     assert ahead.missing(["joint"]) == []
+
+
+def test_one_process_compiles_and_others_leave_it_to_the_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(ahead.jit, "cache_folder", lambda: tmp_path)
+    with jit.locked(tmp_path / "compiling") as first, jit.locked(tmp_path / "compiling", wait=False) as second:
+        assert first and not second
+        ahead.compile_filters(["joint"])
+    assert ahead.missing(["joint"]) == ["joint"]
+
+
+@pytest.fixture
+def cold(tmp_path, monkeypatch):
+    """A machine that compiled nothing, to all appearances, where nobody compiles either."""
+    monkeypatch.setattr(ahead, "_mark", lambda name: tmp_path / name)
+    monkeypatch.setattr(ahead, "compiling", lambda _: contextlib.nullcontext())
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_filter_that_is_interpreted_gives_the_same_numbers(name, cold):
+    scenario = load("ring_road", ["source.kind=model", "track.steps=6"])
+    _, _, detections = stages.simulate(scenario, 1)
+    compiled_ones = stages.slam(scenario, detections, name)
+    interpreted = ahead.sooner([name], stages.slam, scenario, detections, name)
+    assert interpreted is not compiled_ones
+    for field in ("mean", "covariance", "existence", "position"):
+        np.testing.assert_allclose(getattr(interpreted, field), getattr(compiled_ones, field), rtol=1e-7, atol=1e-9)
+
+
+def test_what_cannot_be_handed_over_or_fails_there_is_done_here(cold):
+    assert ahead.sooner(["joint"], lambda: 5) == 5  # a function without a module cannot be handed over
+    with pytest.raises(ZeroDivisionError):
+        ahead.sooner(["joint"], divmod, 1, 0)
+    assert ahead.sooner(["joint"], divmod, 7, 2) == (3, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -102,6 +102,17 @@ REMEDY = 'check start, motion and covariances; --set filter.start="snapshot" sta
 def restarted_text(variant: str, why: str) -> str:
     """That a filter lost its receiver and was started anew."""
     return f"restarted: {variant}: {why}; started anew from the scans (filter.restart)"
+
+
+def told_of_compiling(console, names: Sequence[str]) -> None:
+    """Say that filters ran interpreted and that their compilation goes on, where that is so."""
+    from dopslam.pipeline import ahead
+
+    if ahead.missing(names):
+        console.print(
+            "note: the filters ran interpreted; they are being compiled in the background, which takes a minute or two, once",
+            highlight=False,
+        )
 
 
 def leave_if_lost(summary: dict, console) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -20,11 +18,10 @@ from dopslam.cli.common import (
     leave_if_lost,
     overrides,
     progress_display,
+    told_of_compiling,
     worker_count,
 )
 from dopslam.cli.failure import sentence
-
-LONGEST_COMPILATION = 300  # s; then the filters compile what is missing themselves
 
 
 def run(
@@ -69,8 +66,8 @@ def run(
     from rich.console import Console
 
     from dopslam.config.scenario import load
+    from dopslam.pipeline import ahead
     from dopslam.pipeline import file as stages
-    from dopslam.pipeline.ahead import compiling
     from dopslam.pipeline.look import look_at
     from dopslam.pipeline.preflight import refuse
     from dopslam.pipeline.reads import refuse_unread
@@ -113,7 +110,7 @@ def run(
         data = working / "dataset.h5"
         (working / "scenario.toml").write_text(scenario.to_toml(), encoding="utf-8")
         traced = scenario.source.kind == "traced"
-        with progress_display() as progress, compiling(wanted if traced else ()) as compiler:
+        with progress_display() as progress, ahead.compiling(wanted if traced else ()) as compiler:
             if not traced:
                 timed("simulate", stages.simulate, data, scenario, seed)
             else:
@@ -125,16 +122,13 @@ def run(
                 if keep_signal:
                     timed("synthesize", stages.synthesize, data, (), progress)
                 timed("estimate", stages.estimate, data, (), worker_count(jobs), progress)
-            if compiler is not None:  # what is left of it after tracing and estimation
-                progress("compile", 0, 1)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    compiler.wait(LONGEST_COMPILATION)
-                progress("compile", 1, 1)
             variants = stages.variants_of(scenario, wanted, used)
             for done, (name, doppler) in enumerate(variants):
                 progress("slam", done, len(variants))
                 tried(stages.variant_name(name, doppler), "slam", stages.slam, data, (), name, doppler)
             progress("slam", len(variants), len(variants))
+            if ahead.missing(wanted):
+                ahead.go_on(compiler)
             both = (True, False) if used else (False,)
             for done, doppler in enumerate(both):
                 progress("bound", done, len(both))
@@ -155,6 +149,7 @@ def run(
                 folder.write_json(working / "failed.json", failed)
     if summary is not None:
         console.print(tables.run_table(summary))
+    told_of_compiling(console, wanted)
     for name, why in failed.items():
         console.print(f"failed: {name}: {why}")
     console.print(f"results: {final}", soft_wrap=True)

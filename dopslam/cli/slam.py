@@ -14,6 +14,7 @@ from dopslam.cli.common import (
     overrides,
     progress_display,
     restarted_text,
+    told_of_compiling,
 )
 
 
@@ -44,7 +45,6 @@ def slam(
     """
     from rich.console import Console
 
-    from dopslam.pipeline import ahead
     from dopslam.pipeline import file as stages
     from dopslam.pipeline.judge import split_variant
 
@@ -53,10 +53,6 @@ def slam(
     names = filter_names(filters)
     wanted = names or [None]
     with progress_display() as progress:
-        if ahead.missing(names or ["joint"]):
-            console.print(
-                "note: filters are compiled at their first use on a machine, which takes up to a minute, once"
-            )
         for done, name in enumerate(wanted):
             progress("slam", done, len(wanted))
             variant = stages.slam(dataset, overrides(settings), name, used)
@@ -64,7 +60,7 @@ def slam(
             if restarted:
                 console.print(restarted_text(variant, restarted))
         progress("slam", len(wanted), len(wanted))
-    ahead.remember(names or [split_variant(variant)[0] for variant in lost])
+    told_of_compiling(console, [split_variant(variant)[0] for variant in lost])
     for variant, why in lost.items():
         if why:
             console.print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})", style="bold red")

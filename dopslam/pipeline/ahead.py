@@ -1,7 +1,10 @@
-"""Filters compiled ahead of their first use on a machine, by a process beside the stages before them.
+"""Filters on a machine that never compiled them: nobody waits for machine code.
 
-Their machine code is kept on disk (:mod:`estimation.jit`), so that only the first run with a new version ever waits.
-Whether it is there already says a mark in the same folder, named by everything that it is made from.
+Compilation takes a minute and more, once; the machine code is kept on disk (:mod:`estimation.jit`), and a mark in the same
+folder, named by everything that it is made from, says that it is there. Until then the kernels are what they are written
+in, Python over NumPy: some hundred times slower a step, and yet far sooner done with a run of ordinary length. So a
+process interprets the filter while another compiles it, and what is ready first answers (:func:`sooner`). The numbers are
+the same to rounding.
 """
 
 from __future__ import annotations
@@ -9,77 +12,144 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba.core import config
 
 from dopslam.config.scenario import load
 from dopslam.errors import DopslamError
 from dopslam.pipeline import stages
 from estimation import jit
 
+PATIENCE = 0.05  # s between two looks at what is ready
+GO_ON = b"go on"
 STEPS = 4  # of the drive that every kernel is compiled on
 _PACKAGE = Path(__file__).resolve().parents[1]
 _COMPILED = ("slam", "models", "compute")  # rooms with kernels
 
 
 def compile_filters(names: Sequence[str]) -> None:
-    """Run filters over a few steps drawn from the model, with Doppler and without, and leave a mark for each."""
-    scenario = load("ring_road", ["source.kind=model", f"track.steps={STEPS}"])
-    _, _, detections = stages.simulate(scenario, 0)
-    for name in names:
-        for doppler in (True, False):
-            with contextlib.suppress(DopslamError):  # few steps may be too few for it; it is compiled by then
-                stages.slam(scenario, detections, name, doppler)
-        remember([name])
+    """Run filters over a few steps drawn from the model, with Doppler and without, and leave a mark for each.
+
+    One process at a time does so; a second one leaves it to the first.
+    """
+    folder = jit.writable(jit.cache_folder())
+    with contextlib.nullcontext(True) if folder is None else jit.locked(folder / "compiling", wait=False) as mine:
+        if not mine:
+            return
+        scenario = load("ring_road", ["source.kind=model", f"track.steps={STEPS}"])
+        _, _, detections = stages.simulate(scenario, 0)
+        for name in missing(names):
+            for doppler in (True, False):
+                with contextlib.suppress(DopslamError):  # few steps may be too few for it; it is compiled by then
+                    stages.slam(scenario, detections, name, doppler)
+            mark = _mark(name)
+            if mark is not None:
+                with contextlib.suppress(OSError):
+                    mark.touch()
 
 
 def missing(names: Sequence[str]) -> list[str]:
-    """Those of the filters that were never compiled here; none where nothing can be kept."""
+    """Those of the filters that were never compiled here; none where nothing can be kept or nothing is compiled."""
+    if getattr(config, "DISABLE_JIT", 0):  # numba sets its names from the environment
+        return []
     marks = {name: _mark(name) for name in names if ":" not in name}
     return [name for name, mark in marks.items() if mark is not None and not mark.exists()]
 
 
-def remember(names: Sequence[str]) -> None:
-    """Leave a mark that filters were compiled here."""
-    for name in missing(names):
-        mark = _mark(name)
-        if mark is not None:
-            with contextlib.suppress(OSError):
-                mark.touch()
+def sooner(names: Sequence[str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """``function(*arguments)``, interpreted by another process as long as the filters it needs are not compiled.
+
+    Parameters
+    ----------
+    names : of the filters
+    function : of a module, so that another process finds it by its name
+    arguments : records of ours
+    """
+    if not missing(names):
+        return function(*arguments)
+    with compiling(names) as compiler, tempfile.TemporaryDirectory(prefix="dopslam-") as folder:
+        job, answer = Path(folder) / "job", Path(folder) / "answer"
+        with contextlib.suppress(pickle.PicklingError, AttributeError, TypeError):  # a part that only this process has
+            job.write_bytes(pickle.dumps((function, arguments)))
+            with _child(f"interpret({str(job)!r}, {str(answer)!r})", NUMBA_DISABLE_JIT="1") as reader:
+                while reader.poll() is None and missing(names):
+                    time.sleep(PATIENCE)
+            if answer.exists():
+                go_on(compiler)
+                return pickle.loads(answer.read_bytes())
+        while compiler is not None and compiler.poll() is None and missing(names):
+            time.sleep(PATIENCE)
+    return function(*arguments)  # errors too are this process's
 
 
 @contextlib.contextmanager
 def compiling(names: Sequence[str]) -> Iterator[subprocess.Popen | None]:
-    """A process that compiles what is :func:`missing` while the body runs, None if nothing is; it ends with the body."""
+    """A process that compiles what is :func:`missing` while the body runs, None if nothing is; it ends with the body.
+
+    It is soon done where another one is at it already.
+    """
     cold = missing(names)
-    if not cold:
-        yield None
-        return
-    code = f"from dopslam.pipeline import ahead; ahead.work({cold!r})"
-    with contextlib.ExitStack() as opened:
-        child = opened.enter_context(
-            subprocess.Popen(
-                [sys.executable, "-c", code],
-                stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            )
-        )  # fmt: skip
-        opened.callback(child.kill)
+    with _child(f"compile_filters({cold!r})") if cold else contextlib.nullcontext() as child:
         yield child
 
 
-def work(names: Sequence[str]) -> None:
-    """What the process of :func:`compiling` does: it ends with the process that started it, however that ends."""
+def go_on(compiler: subprocess.Popen | None) -> None:
+    """Let a process of :func:`compiling` finish after its parent has gone, so that the next run finds machine code."""
+    if compiler is None:
+        return
+    assert compiler.stdin is not None
+    with contextlib.suppress(OSError), compiler.stdin:
+        compiler.stdin.write(GO_ON)
+    threading.Thread(target=compiler.wait, daemon=True).start()  # it is taken note of if it ends first
 
-    def follow() -> None:
-        sys.stdin.buffer.read()
-        os._exit(0)
 
-    threading.Thread(target=follow, daemon=True).start()
-    compile_filters(names)
+def interpret(job: str, answer: str) -> None:
+    """What the interpreting process of :func:`sooner` does; without an answer it has failed."""
+    function, arguments = pickle.loads(Path(job).read_bytes())
+    with np.errstate(all="ignore"), warnings.catch_warnings():  # as machine code, which goes on with inf and nan
+        warnings.simplefilter("ignore")
+        result = function(*arguments)
+    part = Path(answer + "-part")
+    part.write_bytes(pickle.dumps(result))
+    part.rename(answer)
+
+
+def follow() -> None:
+    """Make this process end when its standard input does, that is with its parent, unless it was told to go on."""
+
+    def wait() -> None:
+        if GO_ON not in sys.stdin.buffer.read():
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _child(work: str, **environment: str) -> Iterator[subprocess.Popen]:
+    """A process that does one thing of this module; it ends with the body, unless :func:`go_on` let it go."""
+    command = [sys.executable, "-c", f"from dopslam.pipeline import ahead; ahead.follow(); ahead.{work}"]
+    silent: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, env=os.environ | environment, **silent)
+    assert child.stdin is not None
+    try:
+        yield child
+    finally:
+        if not child.stdin.closed:
+            child.kill()
+            child.stdin.close()
+            child.wait()
 
 
 def _mark(name: str) -> Path | None:

@@ -14,6 +14,7 @@ from dopslam.errors import DatasetError, DopslamError
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
+from dopslam.pipeline import ahead
 from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.judge import WITHOUT, judged, split_variant, variant_name, walls_of
@@ -157,7 +158,7 @@ def slam(path: Path, settings=(), filter_name: str | None = None, doppler: bool 
     detections = blurred(scenario, read_detections(path), seed)
     filter_name = filter_name or scenario.filter.density
     doppler = doppler and pipeline.uses_doppler(scenario, filter_name)
-    history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
+    history = ahead.sooner([filter_name], pipeline.slam, scenario, detections, filter_name, doppler, seed)
     variant = variant_name(filter_name, doppler)
     records = {_group("slam", variant): history, _group("walls", variant): walls_of(scenario, history)}
     dataset.write_records(path, records, scenario.to_toml())

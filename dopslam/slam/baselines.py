@@ -58,8 +58,7 @@ class LineOfSight:
     def step(self, state: Any, scan: Scans, rng: np.random.Generator) -> tuple[Any, Info]:
         """Predict, choose, update (Joseph)."""
         problem, mean, covariance = _predicted(state)
-        speed = problem.motion.speed  # pyright: ignore[reportAttributeAccessIssue]  # a coordinated turn has it
-        told = {"speed": speed, "height": problem.height}
+        told = {"speed": problem.speed, "height": problem.height}
         rows = 6 if self.doppler else 5
         h = jacobians(mean, problem.anchor, BS, problem.anchor, **told)[0][:rows]
         away = residual(scan.z, measure(mean, problem.anchor, BS, problem.anchor, **told))[:, :rows]

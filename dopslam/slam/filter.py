@@ -80,6 +80,11 @@ class Problem:
         """(3,) m; position of the only base station."""
         return self.stations.position[0]
 
+    @property
+    def speed(self) -> float:
+        """m/s, of a coordinated turn; a filter that reads it takes no other motion by its capabilities."""
+        return self.motion.speed  # pyright: ignore[reportAttributeAccessIssue]
+
     def scans(self, detections: DetectionSeries) -> Scans:
         """Detections of a run as the filters read them, every delay in the turn of the link's range that the prior says.
 

@@ -71,8 +71,7 @@ class Batch(Rerun):
             If neither the filter nor the snapshots give a start.
         """
         motion, pace = problem.motion, scans.pace(problem.motion.interval)
-        speed = motion.speed  # pyright: ignore[reportAttributeAccessIssue]  # a coordinated turn has it
-        data = rows_of(scans, problem.stations.position, problem.height, speed, doppler=self.doppler)
+        data = rows_of(scans, problem.stations.position, problem.height, problem.speed, doppler=self.doppler)
         information = np.asarray(np.linalg.inv(problem.covariance + KNOWN * np.eye(motion.dimension)), float)
         if problem.snapshot:
             information[:POSE], information[:, :POSE] = 0.0, 0.0

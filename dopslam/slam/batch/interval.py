@@ -51,8 +51,7 @@ class Interval(Rerun):
         problem = started(problem, scans, self.doppler)
         joint = Joint(doppler=self.doppler, iterations=self.iterations, associations=self.associations, gate=self.gate)
         history, diagnostics = joint.run(problem, scans, rng)
-        speed = problem.motion.speed  # pyright: ignore[reportAttributeAccessIssue]  # a coordinated turn has it
-        data = rows_of(scans, problem.stations.position, problem.height, speed, doppler=self.doppler)
+        data = rows_of(scans, problem.stations.position, problem.height, problem.speed, doppler=self.doppler)
         found, owner = _mapped(only_stations(data), history, diagnostics, self.confirmed)
         information = np.asarray(np.linalg.inv(problem.covariance + KNOWN * np.eye(problem.motion.dimension)), float)
         chain = Chain(problem.motion, np.asarray(problem.mean, float), information, scans.pace(problem.motion.interval))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dopslam.models.paths import mirror
 from dopslam.slam.belief.distance_only.filter import RangeParameters
 
 
@@ -44,12 +45,14 @@ def office(steps: int = 900, length: float = 0.03) -> RangeScenario:
     """
     width, depth = 10.0, 8.0
 
+    normals, offsets = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]), np.array([0.0, width, 0.0, depth])
+
     def images(a):
-        return [a, [-a[0], a[1]], [2 * width - a[0], a[1]], [a[0], -a[1]], [a[0], 2 * depth - a[1]]]
+        return [a, *mirror(a, normals, offsets)]
 
     # Both on one side: on the line between two anchors, distances alone cannot tell left from right.
     first, second = [1.6, 1.5], [8.3, 1.2]
-    maps = (np.array([*images(first), [2 * width - first[0], -first[1]]]), np.array(images(second)))
+    maps = (np.array([*images(first), mirror(images(first)[3], normals[1], width)]), np.array(images(second)))
     phase = np.linspace(0, 6 * np.pi, 60001)
     path = np.column_stack([5 + 3.2 * np.sin(phase), 5 + 1.6 * np.sin(2 * phase)])
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
