@@ -12,15 +12,15 @@ from dopslam.compute.compiled import compiled
 
 
 @compiled
-def cholesky(matrix, size):
-    """``matrix[:] = np.linalg.cholesky(matrix)``, the lower triangle of the leading (size, size) block in place; False if
-    it is not positive definite."""
+def cholesky_columns(matrix, size):
+    """The columns of the lower Cholesky factor, in place of those of the leading (size, size) block, as far as it is positive
+    definite; returns how many."""
     for j in range(size):
         pivot = matrix[j, j]
         for k in range(j):
             pivot -= matrix[j, k] * matrix[j, k]
         if not pivot > 0.0:
-            return False
+            return j
         pivot = math.sqrt(pivot)
         matrix[j, j] = pivot
         for i in range(j + 1, size):
@@ -28,23 +28,40 @@ def cholesky(matrix, size):
             for k in range(j):
                 value -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = value / pivot
-    return True
+    return size
+
+
+@compiled
+def cholesky(matrix, size):
+    """``matrix[:] = np.linalg.cholesky(matrix)``, the lower triangle of the leading (size, size) block in place; False if
+    it is not positive definite."""
+    return cholesky_columns(matrix, size) == size
 
 
 @compiled
 def factorize(matrix, size):
-    """:func:`cholesky` of a covariance that rounding may have made indefinite: as little as it takes is added to its
-    diagonal, up to a hundredth. False if that is not enough, or if it is not finite."""
+    """:func:`cholesky` of a covariance, both triangles given, that rounding may have made indefinite: as little as it takes is
+    added to its diagonal, up to a hundredth. False if that is not enough, or if it is not finite."""
+    done = cholesky_columns(matrix, size)
+    if done == size:  # nearly always: no copy is made for it
+        return True
+    for j in range(done):
+        matrix[j, j] *= matrix[j, j]
+        for k in range(j):
+            matrix[j, j] += matrix[j, k] * matrix[j, k]
+    for i in range(size):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
     kept = matrix[:size, :size].copy()
-    share = 0.0
+    share = 1e-12
     while share < 0.02:
-        if cholesky(matrix, size):
-            return True
-        share = 1e-12 if share == 0.0 else 10.0 * share
         for i in range(size):
             for j in range(size):
                 matrix[i, j] = kept[i, j]
             matrix[i, i] += share * abs(kept[i, i])
+        if cholesky(matrix, size):
+            return True
+        share *= 10.0
     return False
 
 

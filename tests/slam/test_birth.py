@@ -9,7 +9,7 @@ from dopslam.models.measurement import SP, VA, jacobians, measure, residual
 from dopslam.models.paths import incidence
 from dopslam.models.pose import positions
 from dopslam.simulate.world import nominal_track
-from dopslam.slam.pmb.birth import fit_landmark, starting_point, undetected_intensity, visible_share
+from dopslam.slam.pmb.birth import fit_landmark, fitting, starting_point, undetected_intensity, visible_share
 from dopslam.slam.pmb.density import FilterParameters, Scan, compile_model, initial_density
 from dopslam.slam.pmb.newborn import give_birth
 
@@ -18,7 +18,9 @@ STD = np.array([0.1, 0.05, 0.05, 0.05, 0.05, 0.1])
 
 def fit(z, noise, state, covariance, kind, site, start):
     x, gain, own = start.copy(), np.empty((3, len(z))), np.empty((3, 3))
-    valid, chi2, log_volume = fit_landmark(z, noise, state, covariance, kind, site, False, -np.inf, x, gain, own)
+    valid, chi2, log_volume = fit_landmark(
+        z, noise, state, covariance, kind, site, False, -np.inf, x, gain, own, fitting(len(z), 4)
+    )
     return valid, chi2, log_volume, x, gain, own
 
 

@@ -10,7 +10,7 @@ from dopslam.models import unmeasured
 from dopslam.models.measurement import SP, VA, measure, wrap
 from dopslam.simulate.hall import measured_hall
 from dopslam.slam.filter import run
-from dopslam.slam.pmb.birth import HELD, first_guess, fit_landmark
+from dopslam.slam.pmb.birth import HELD, first_guess, fit_landmark, fitting
 from dopslam.studies.hall import problem_of
 
 SITE = (3.0, -2.0, 4.0, 1.5, 0.0)
@@ -31,7 +31,9 @@ def seen(kind, *rows):
 
 def fitted(z, covariance, kind, start):
     x, gain, own = start.copy(), np.empty((3, 6)), np.empty((3, 3))
-    told = fit_landmark(z, covariance, STATE, 1e-6 * np.eye(4), kind, SITE, True, -np.inf, x, gain, own)
+    told = fit_landmark(
+        z, covariance, STATE, 1e-6 * np.eye(4), kind, SITE, True, -np.inf, x, gain, own, fitting(len(z), 4)
+    )
     return *told, x, own
 
 

@@ -14,14 +14,18 @@ rows of a fit that is one more, the height with the deviation `HELD`.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dopslam.compute.compiled import compiled
+from dopslam.compute.compiled import clear, compiled
 from dopslam.compute.linalg import cholesky, solve_lower
 from dopslam.models.kernels import SP, VA, linearize, log_spreading, noise_entry, starting_point, subtract
 from dopslam.models.unmeasured import UNSEEN
 from dopslam.slam.pmb.density import BIRTHS, look_up
+
+Array = NDArray[np.float64]
 
 MAX_STEPS = 8
 OUTWEIGHED = 9.0  # a birth e^-9 times as likely as an existing track needs no refinement
@@ -56,8 +60,32 @@ def first_guess(z, noise, state, kind, site, x):
     return True
 
 
+class Fitting(NamedTuple):
+    """Arrays of one fit, made once for many: allocating them takes as long as the fit."""
+
+    predicted: Array
+    nu: Array
+    by_state: Array
+    by_landmark: Array
+    moved: Array
+    factor: Array
+    white: Array  # (m, 4): L⁻¹B and L⁻¹ν
+    information: Array
+    inverse: Array
+    step: Array
+
+
 @compiled
-def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, x, gain, covariance):
+def fitting(m, n):
+    """Buffers for measurements of m rows and a UE of n entries."""
+    return Fitting(
+        np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, 3)), np.empty((m, n)), np.empty((m, m)), np.empty((m, 4)),
+        np.empty((3, 3)), np.empty((3, 3)), np.empty(3),
+    )  # fmt: skip
+
+
+@compiled
+def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, x, gain, covariance, work):
     """Gauss-Newton for x̂ = argmin χ²(x) with the UE's uncertainty in R̃.
 
     Parameters
@@ -71,6 +99,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, 
     x : (3,) array, start; overwritten with x̂
     gain : (3, m) array, written: G = (BᵀR̃⁻¹B)⁻¹BᵀR̃⁻¹
     covariance : (3, 3) array, written: (BᵀR̃⁻¹B)⁻¹
+    work : Fitting for this m and n
 
     Returns
     -------
@@ -80,17 +109,9 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, 
     """
     m = z.shape[0]
     n = state.shape[0]
-    predicted = np.empty(m)
-    by_state = np.empty((m, n))
-    white = np.empty((m, 4))  # columns: L⁻¹B and L⁻¹ν
+    predicted, nu, by_state, by_landmark, moved, factor, white, information, inverse, step = work
     hold = HELD**-2 if planar else 0.0
     level = site[3] if kind == SP else site[2]
-    by_landmark = np.empty((m, 3))
-    factor = np.empty((m, m))
-    information = np.empty((3, 3))
-    step = np.empty(3)
-    nu = np.empty(m)
-    moved = np.empty((m, n))
     chi2 = np.inf
     log_volume = 0.0
     reach = 0.0
@@ -160,7 +181,7 @@ def fit_landmark(z, noise, state, state_covariance, kind, site, planar, enough, 
     if not valid:
         return False, chi2, 0.0
     # covariance = (C Cᵀ)⁻¹ with the Cholesky factor C; gain = covariance · (L⁻¹B)ᵀ L⁻¹
-    inverse = np.zeros((3, 3))
+    clear(inverse)
     for j in range(3):
         inverse[j, j] = 1.0 / information[j, j]
         for i in range(j + 1, 3):
@@ -254,6 +275,7 @@ def new_hypotheses(density, n, scan, local, model):
     position = np.zeros((count, BIRTHS, 3))
     gain = np.empty((3, m))
     covariance = np.empty((3, 3))
+    work = fitting(m, n)
     constant = 0.5 * (3 - m) * math.log(2.0 * math.pi)
     if model.planar:  # λ per m² times the density of the height that is held
         constant += math.log(STOREYS / (math.sqrt(2.0 * math.pi) * HELD))
@@ -285,6 +307,7 @@ def new_hypotheses(density, n, scan, local, model):
                 x,
                 gain,
                 covariance,
+                work,
             )
             if not valid or not chi2 < REDUNDANT_LIMIT:
                 continue

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.compute.linalg import factorize, solve_lower_vector
-from dopslam.models.kernels import log_spreading, measured_rows, noise_entry, subtract
+from dopslam.models.kernels import SP, log_spreading, measured_rows, noise_entry, subtract
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import visible_share
 from dopslam.slam.pmb.curvature import add_curvature
@@ -109,7 +109,9 @@ def detection_probability(density, n, block, model):
     start = start_of(n, block)
     x = density.mean[start : start + 3]
     kind = density.kind[block]
-    share = visible_share(x, relative_spread(density.covariance, n, block), density.mean, kind, model)
+    share = 1.0
+    if kind == SP and model.sp_range < np.inf:
+        share = visible_share(x, relative_spread(density.covariance, n, block), density.mean, kind, model)
     return share * look_up(model.table, density.reference[block] - log_spreading(kind, x, density.mean, model.site))
 
 

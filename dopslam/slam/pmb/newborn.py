@@ -9,7 +9,7 @@ import numpy as np
 from dopslam.compute.compiled import clear, compiled, copy_matrix
 from dopslam.compute.linalg import cholesky, solve_lower
 from dopslam.models.kernels import SP, SR, VA, linearize, noise_entry, subtract
-from dopslam.slam.pmb.birth import HELD, first_guess, fit_landmark
+from dopslam.slam.pmb.birth import HELD, first_guess, fit_landmark, fitting
 from dopslam.slam.pmb.density import BIRTHS
 
 RARE = 1e-3  # of the pruning threshold: below it a type of a track is dropped
@@ -17,7 +17,7 @@ PLAUSIBLE = 16.0  # χ² of the redundant rows up to which a newborn informs the
 
 
 @compiled
-def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
+def inform(mean, covariance, n, at, z, noise, kind, x, share, model, work):
     """Let the m - 3 redundant rows of a newborn's measurement inform the UE and the blocks before row `at`.
 
     Three of m rows place the landmark; the others are a measurement of the UE: with Π = R̃⁻¹ - R̃⁻¹BG and
@@ -73,7 +73,7 @@ def inform(mean, covariance, n, at, z, noise, kind, x, share, model):
                 shift[j] += white[i, 4 + j] * white[i, 3]
         for k in range(n):
             point[k] = mean[k] + shift[k]
-        valid, _, _ = fit_landmark(z, noise, point, none, kind, model.site, model.planar, -np.inf, x, gain, own)
+        valid, _, _ = fit_landmark(z, noise, point, none, kind, model.site, model.planar, -np.inf, x, gain, own, work)
         if not valid:
             return False
     spread = share * (1.0 - share)
@@ -100,7 +100,7 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
     m = scan.z.shape[1]
     gain, own = np.empty((3, m)), np.empty((3, 3))
     predicted, by_state, by_landmark = np.empty(m), np.empty((m, n)), np.empty((m, 3))
-    spread = np.zeros((n, n))
+    spread, work = np.zeros((n, n)), fitting(m, n)
     informed = False
     for c in range(measurement.shape[0]):
         p, kind = measurement[c], kinds[c]
@@ -118,13 +118,13 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
             informed = False
             if model.inform and real[p] > 0.5 and kind != SR:
                 _, chi2, _ = fit_landmark(
-                    z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own
+                    z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own, work
                 )
                 if chi2 < PLAUSIBLE:
-                    informed = inform(mean, covariance, n, at, z, noise, kind, x, real[p], model)
+                    informed = inform(mean, covariance, n, at, z, noise, kind, x, real[p], model, work)
             if informed:
                 clear(spread)
-        valid, _, _ = fit_landmark(z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own)
+        valid, _, _ = fit_landmark(z, noise, state, spread, kind, model.site, model.planar, -np.inf, x, gain, own, work)
         if not valid:  # the updated UE makes the path impossible; keep the prediction's point, widely
             if not first_guess(z, noise, state, kind, model.site, x):
                 for i in range(3):
