@@ -30,7 +30,7 @@ from .floor import Floor
 from .grids import EVERYWHERE, View, directions_in
 from .kinds import Search, search_kind
 from .noise import ENDLESS, Clock, Noise
-from .pairs import told_apart
+from .pairs import told_apart, worthwhile
 from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
@@ -284,6 +284,7 @@ class Nomp:
         lin, spread = told_apart(self, data, lin, noise) if self.resolve else (lin, np.zeros((single, 6, 6)))
         if len(lin.gain) > single:
             lin = self._fit(data, lin, noise, tolerance=3e-3)
+        lin, spread = worthwhile(self, data, lin, spread, noise)
         return report.detections(self, data, lin, noise.variance(lin), spread, noise.limited)
 
     def _fit(

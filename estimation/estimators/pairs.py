@@ -282,3 +282,17 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
         everywhere = np.linalg.pinv(lengths, rcond=1e-9, hermitian=True) * (apart @ lengths @ apart) * BLUR / gained
         spread[path] = abs(share * (1 - share)) * (np.outer(apart, apart) + everywhere)
     return lin, spread
+
+
+def worthwhile(
+    estimator: Fitter, data: Projector, lin: Linearization, spread: Float, noise: Noise
+) -> tuple[Linearization, Float]:
+    """Without the paths, and their spread, that the finer fit or the second of a pair has left next to nothing of: they were
+    part of another. The strongest stays.
+    """
+    while len(lin.gain) > 1:
+        kept = np.flatnonzero((lin.drop >= estimator.level * noise.variance(lin)) | (lin.drop == lin.drop.max()))
+        if len(kept) == len(lin.gain):
+            break
+        lin, spread = joint_fit(data, lin.geometry.take(kept), noise.variance(lin), 3e-3), spread[kept]
+    return lin, spread

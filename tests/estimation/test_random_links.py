@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimation import Nomp, snr
+from estimation import Nomp, snr, synthesize
 from estimation.random_links import LARGEST, SEARCHED, random_link, random_paths, right_model, wrong_model
 
 
@@ -58,3 +58,14 @@ def test_wrong_models_of_random_links_make_no_ghosts():
     for name, row in wrong_model(6, seed=2000).items():
         assert row["ghosts_per_snapshot"] <= 1, name
         assert row["nees_over_6"] <= 2.5, name
+
+
+@pytest.mark.parametrize("seed", [56, 80])
+def test_nothing_is_reported_below_the_threshold(seed):
+    """Of strong paths the last, finer fit left components of 5 to 12 dB that the search had taken for paths of their own."""
+    rng = np.random.default_rng(seed)
+    model = random_link(rng)
+    paths = random_paths(model, rng, (40.0, 95.0))
+    nomp = Nomp(model, max_speed=SEARCHED, false_alarm_rate=0.01)
+    found = nomp.run(synthesize(model, paths, 1.0, rng), 1.0)
+    assert len(found.snr) >= 3 and found.snr.min() >= nomp.level
