@@ -110,7 +110,8 @@ def slam(problem: Problem, detections: DetectionSeries, chosen: Filter | str, se
         If the filter cannot do what the problem asks, or fails.
     """
     used = FILTERS[chosen]() if isinstance(chosen, str) else chosen
-    names = [name for name, kind in FILTERS.items() if type(used) is kind]
+    where = f"{type(used).__module__}:{type(used).__qualname__}"
+    names = [name for name, place in FILTERS.shipped.items() if place == where]
     return ahead.sooner(names, filtering.run, problem, detections, used, seed)[0]
 
 

@@ -7,8 +7,8 @@ deleted.
 
 The cache lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder (``XDG_CACHE_HOME`` or
 ``~/.cache``). Checkouts and installations with the same code share it, and so do processes at the same time: entries
-are written under a lock. Where no folder can be written or an entry cannot be read, kernels compile anew: slower, never
-broken.
+are written under a lock. A folder that cannot be written is read all the same; where there is none or an entry cannot be
+read, kernels compile anew: slower, never broken.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def cached(function: Callable[..., Any], root: Path, **options: Any) -> Any:
     options : of ``numba.njit``
     """
     dispatcher: Any = numba.njit(**options)(function)
-    folder = writable(cache_folder())
-    if folder is not None:
+    folder = cache_folder()
+    if folder is not None and (writable(folder) or folder.is_dir()):  # what another one filled can be read
         with contextlib.suppress(OSError, AttributeError):  # the source cannot be read; a numba without this cache
             dispatcher._cache = _Cache(function, folder / fingerprint(function, root))
     return dispatcher

@@ -7,6 +7,7 @@ or ``"path/to/file.py:Class"`` for a module that is not installed.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import importlib.metadata
@@ -31,6 +32,11 @@ class Table(Mapping[str, Any]):
     def __init__(self, what: str, group: str, entries: Mapping[str, str], error: type[Exception]) -> None:
         self._what, self._group, self._own, self._error = what, group, dict(entries), error
 
+    @property
+    def shipped(self) -> Mapping[str, str]:
+        """The names of this package alone, with where they lie; nothing is imported."""
+        return self._own
+
     def _all(self) -> dict[str, str]:
         announced = {point.name: point.value for point in importlib.metadata.entry_points(group=self._group)}
         return self._own | {name: where for name, where in announced.items() if name not in self._own}
@@ -43,6 +49,14 @@ class Table(Mapping[str, Any]):
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and (name in self._all() or ":" in name)
+
+    def sound(self) -> dict[str, Any]:
+        """What all names stand for, but those of plug-ins that cannot be imported: for messages that look at all."""
+        found = {}
+        for name in self:
+            with contextlib.suppress(self._error):
+                found[name] = self[name]
+        return found
 
     def checked(self, name: str) -> str:
         """The name if it is known or can be a ``module:Class``; nothing is imported.

@@ -13,6 +13,7 @@ import pytest
 
 from dopslam.compute.compiled import compiled
 from dopslam.config.scenario import load
+from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
 from dopslam.pipeline import ahead, stages
 from estimation import jit
@@ -110,6 +111,16 @@ def test_no_home_no_disk_and_torn_entries_cost_time_only(house):
     assert run() == "20.0 0"
 
 
+def test_a_cache_that_cannot_be_written_is_read(house):
+    """Filled by the administrator, or on a disk that is mounted read-only."""
+    folder, run = house
+    run()
+    assert run("from estimation import jit; jit.writable = lambda _: None; " + RUN) == "20.0 1"
+    assert (
+        run("from estimation import jit; jit.writable = lambda _: None; " + RUN, HOME=str(folder / "other")) == "20.0 0"
+    )
+
+
 def test_processes_share_it(house):
     """Signatures compiled at the same time in several processes do not overwrite each other's entries."""
     folder, run = house
@@ -205,4 +216,32 @@ def test_what_cannot_be_handed_over_or_fails_there_is_done_here(cold):
     assert ahead.sooner(["joint"], lambda: 5) == 5  # a function without a module cannot be handed over
     with pytest.raises(ZeroDivisionError):
         ahead.sooner(["joint"], divmod, 1, 0)
+    assert ahead.sooner(["joint"], divmod, 7, 2) == (3, 1)
+
+
+def test_what_is_refused_there_is_refused_here_at_once(cold):
+    result, error = ahead._interpreted(["joint"], load, ["no such scene"])
+    assert result is None and isinstance(error, ConfigError)
+    with pytest.raises(ConfigError, match="no such scene"):
+        ahead.sooner(["joint"], load, "no such scene")
+
+
+def test_the_other_process_imports_what_this_one_does(cold, tmp_path, monkeypatch):
+    """Not what lies in the folder that it runs in: a module of the same name, or another version of the house."""
+    (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
+    (tmp_path / "dopslam").mkdir()
+    (tmp_path / "dopslam" / "__init__.py").write_text("raise ImportError('not this one')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    assert ahead._interpreted(["joint"], divmod, (7, 2)) == ((3, 1), None)
+
+
+@pytest.mark.parametrize("program", ["", "/no/such/python", None])
+def test_where_no_process_can_be_started_it_is_done_here(cold, monkeypatch, program):
+    monkeypatch.setattr(sys, "executable", program)
+    assert ahead.sooner(["joint"], divmod, 7, 2) == (3, 1)
+
+
+def test_where_no_file_can_be_written_it_is_done_here(cold, monkeypatch):
+    monkeypatch.setattr(ahead.tempfile, "TemporaryDirectory", lambda **_: Path("/no/such/folder").stat())
     assert ahead.sooner(["joint"], divmod, 7, 2) == (3, 1)

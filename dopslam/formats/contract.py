@@ -67,7 +67,7 @@ def writer(name: str, **options: Any) -> Writer:
     given = {key: value for key, value in options.items() if value is not None}
     for option in given:
         if option not in signature(FORMATS[name]).parameters:
-            having = [n for n in FORMATS if option in signature(FORMATS[n]).parameters]
+            having = [n for n, format in FORMATS.sound().items() if option in signature(format).parameters]
             raise DatasetError(f"--{option} goes with --to {' or '.join(having)} only")
     return _able(name, "writes", Writer, "written", given)  # pyright: ignore[reportAbstractUsage]
 
@@ -80,6 +80,6 @@ def reader(name: str) -> Reader:
 def _able(name: str, what: str, kind: type, done: str, options: dict[str, Any]):
     found = FORMATS[name](**options)
     if not (getattr(found, what, False) and isinstance(found, kind)):
-        others = ", ".join(other for other in FORMATS if getattr(FORMATS[other], what, False))
+        others = ", ".join(other for other, format in FORMATS.sound().items() if getattr(format, what, False))
         raise DatasetError(f"format {name!r} cannot be {done}; those that can: {others}, or 'module:Class' of your own")
     return found

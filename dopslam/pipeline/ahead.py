@@ -4,7 +4,8 @@ Compilation takes a minute and more, once; the machine code is kept on disk (:mo
 folder, named by everything that it is made from, says that it is there. Until then the kernels are what they are written
 in, Python over NumPy: some hundred times slower a step, and yet far sooner done with a run of ordinary length. So a
 process interprets the filter while another compiles it, and what is ready first answers (:func:`sooner`). The numbers are
-the same to rounding.
+the same to rounding. Both processes import what this one imports, and end with it. A filter of one's own is run here: it
+may print, draw on what only this process holds, or not be ours to run twice.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from numba.core import config
 
 from dopslam.config.scenario import load
 from dopslam.errors import DopslamError
+from dopslam.filters import FILTERS
 from dopslam.pipeline import stages
 from estimation import jit
 
@@ -61,10 +63,10 @@ def compile_filters(names: Sequence[str]) -> None:
 
 
 def missing(names: Sequence[str]) -> list[str]:
-    """Those of the filters that were never compiled here; none where nothing can be kept or nothing is compiled."""
+    """Those of the house's filters that were never compiled here; none where nothing can be kept or is compiled."""
     if getattr(config, "DISABLE_JIT", 0):  # numba sets its names from the environment
         return []
-    marks = {name: _mark(name) for name in names if ":" not in name}
+    marks = {name: _mark(name) for name in names if name in FILTERS.shipped}
     return [name for name, mark in marks.items() if mark is not None and not mark.exists()]
 
 
@@ -79,19 +81,35 @@ def sooner(names: Sequence[str], function: Callable[..., Any], *arguments: Any) 
     """
     if not missing(names):
         return function(*arguments)
-    with compiling(names) as compiler, tempfile.TemporaryDirectory(prefix="dopslam-") as folder:
-        job, answer = Path(folder) / "job", Path(folder) / "answer"
-        with contextlib.suppress(pickle.PicklingError, AttributeError, TypeError):  # a part that only this process has
-            job.write_bytes(pickle.dumps((function, arguments)))
-            with _child(f"interpret({str(job)!r}, {str(answer)!r})", NUMBA_DISABLE_JIT="1") as reader:
-                while reader.poll() is None and missing(names):
-                    time.sleep(PATIENCE)
-            if answer.exists():
-                go_on(compiler)
-                return pickle.loads(answer.read_bytes())
+    with compiling(names) as compiler:
+        found = _interpreted(names, function, arguments)
+        if found is not None:
+            go_on(compiler)
+            result, error = found
+            if error is not None:
+                raise error
+            return result
         while compiler is not None and compiler.poll() is None and missing(names):
             time.sleep(PATIENCE)
-    return function(*arguments)  # errors too are this process's
+    return function(*arguments)
+
+
+def _interpreted(
+    names: Sequence[str], function: Callable[..., Any], arguments: Sequence[Any]
+) -> tuple[Any, DopslamError | None] | None:
+    """What another process found, or the error that it refused with; None if it has not, or machine code came first."""
+    try:
+        job = pickle.dumps((function, arguments))
+    except (pickle.PicklingError, AttributeError, TypeError):  # a part that only this process has
+        return None
+    with contextlib.suppress(OSError), tempfile.TemporaryDirectory(prefix="dopslam-") as folder:
+        given, answer = Path(folder) / "job", Path(folder) / "answer"
+        given.write_bytes(job)
+        with _child(f"interpret({str(given)!r}, {str(answer)!r})", NUMBA_DISABLE_JIT="1") as reader:
+            while reader is not None and reader.poll() is None and missing(names):
+                time.sleep(PATIENCE)
+        return pickle.loads(answer.read_bytes()) if answer.exists() else None
+    return None  # no place for files
 
 
 @contextlib.contextmanager
@@ -116,13 +134,25 @@ def go_on(compiler: subprocess.Popen | None) -> None:
 
 
 def interpret(job: str, answer: str) -> None:
-    """What the interpreting process of :func:`sooner` does; without an answer it has failed."""
+    """What the interpreting process of :func:`sooner` does; without an answer it has failed.
+
+    Where Python raises and machine code goes on with inf and nan (a division of floats by zero), nothing is answered: not
+    an error that came of another one, and not a run that was started anew, perhaps for such an error.
+    """
     function, arguments = pickle.loads(Path(job).read_bytes())
-    with np.errstate(all="ignore"), warnings.catch_warnings():  # as machine code, which goes on with inf and nan
+    result, refused = None, None
+    with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = function(*arguments)
+        try:
+            result = function(*arguments)
+        except DopslamError as error:
+            if error.__cause__ is not None or error.__context__ is not None:
+                raise
+            refused = error
+    if any(getattr(part, "restarted", "") for part in (result if isinstance(result, tuple) else (result,))):
+        return
     part = Path(answer + "-part")
-    part.write_bytes(pickle.dumps(result))
+    part.write_bytes(pickle.dumps((result, refused)))
     part.rename(answer)
 
 
@@ -137,11 +167,20 @@ def follow() -> None:
 
 
 @contextlib.contextmanager
-def _child(work: str, **environment: str) -> Iterator[subprocess.Popen]:
-    """A process that does one thing of this module; it ends with the body, unless :func:`go_on` let it go."""
-    command = [sys.executable, "-c", f"from dopslam.pipeline import ahead; ahead.follow(); ahead.{work}"]
+def _child(work: str, **environment: str) -> Iterator[subprocess.Popen | None]:
+    """A process that does one thing of this module; it ends with the body, unless :func:`go_on` let it go.
+
+    It finds its modules where this one does, not in the folder that it happens to run in. None where no process can be
+    started.
+    """
+    command = [sys.executable, "-P", "-c", f"from dopslam.pipeline import ahead; ahead.follow(); ahead.{work}"]
     silent: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    child = subprocess.Popen(command, stdin=subprocess.PIPE, env=os.environ | environment, **silent)
+    environment = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
+    try:
+        child = subprocess.Popen(command, stdin=subprocess.PIPE, env=environment, **silent)
+    except (OSError, TypeError, ValueError):  # an embedded interpreter has no program of its own; no more processes
+        yield None
+        return
     assert child.stdin is not None
     try:
         yield child

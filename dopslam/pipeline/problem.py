@@ -195,7 +195,7 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
     chosen = {key: value for key, value in config.options.items() if key not in alone} | alone.get(name, {})
     unknown = sorted(set(chosen) - own)
     if unknown:
-        able = [other for other in FILTERS if unknown[0] in _options_of(other)]
+        able = [other for other in FILTERS.sound() if unknown[0] in _options_of(other)]
         hint = f"; for {able[0]} alone it is filter.options.{able[0]}.{unknown[0]}" if able else ""
         raise ConfigError(
             f"filter.options.{unknown[0]}: the filter {name!r} has no such option; it has "

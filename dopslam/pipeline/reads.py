@@ -63,7 +63,7 @@ def _reader(full: Scenario, other: Scenario, names: Sequence[str]) -> str:
     def differs(stage: str, name: str) -> bool:
         return handed(stage, full, (name,)) != handed(stage, other, (name,))
 
-    who = [name for name in FILTERS if name not in names and differs("slam", name)]
+    who = [name for name in FILTERS.sound() if name not in names and differs("slam", name)]
     who = who or [stage for stage in _HANDED if differs(stage, full.filter.density)]
     return f"; {', '.join(who)} would" if who else "; drop it"
 

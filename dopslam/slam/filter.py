@@ -15,19 +15,21 @@ that has a faster way through a whole run gives ``run`` as well::
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dopslam.errors import FilterError
+from dopslam.errors import DopslamError, FilterError
 from dopslam.models import ambiguity
 from dopslam.models.detection import DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn, MotionModel
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
-from dopslam.slam.history import Diagnostics, Estimate, History, history_of_estimates
+from dopslam.slam.history import Diagnostics, Estimate, History, answer_of_run, history_of_estimates, settled
 from dopslam.slam.orientation import turnable
 from dopslam.slam.snapshot.start import started
 
@@ -208,7 +210,10 @@ def run(
             problem = started(problem, scans, doppler)
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         whole = getattr(chosen, "run", None)
-        return whole(problem, scans, rng) if whole is not None else run_steps(chosen, problem, scans, rng)
+        if whole is None:
+            return run_steps(chosen, problem, scans, rng)
+        with _named(chosen, "run"):
+            return answer_of_run(whole(problem, scans, rng), scans.steps, f"{type(chosen).__name__}.run")
 
     if not problem.restart:
         history, told = go(problem, scans)
@@ -251,13 +256,21 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
 
 def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
     """The recursion, one scan after the other: :func:`run` for filters without a way of their own."""
-    state, told = chosen.init(problem, rng), []
+    who, told = type(chosen).__name__, []
+    with _named(chosen, "init"):
+        state = chosen.init(problem, rng)
     for k in range(scans.steps):
-        try:
-            state, info = chosen.step(state, scans.take([k]), rng)
-        except (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError) as error:
-            raise FilterError(f"step {k}: {type(chosen).__name__}: {error}") from error
-        told.append(info)
+        with _named(chosen, f"step {k}"):
+            try:
+                answer = chosen.step(state, scans.take([k]), rng)
+            except (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError) as error:
+                raise FilterError(f"step {k}: {who}: {error}") from error
+        if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Info)):
+            raise FilterError(f"step {k}: {who}.step must return (state, dopslam.Info(...)), got {_shown(answer)}")
+        state, info = answer
+        with _named(chosen, f"step {k}"):
+            estimate = settled(info.estimate, f"step {k}: {who}", told[0].estimate.mean if told else None)
+        told.append(replace(info, estimate=estimate))
     return history_of_estimates([info.estimate for info in told]), Diagnostics(
         nis=np.array([info.nis for info in told]),
         nis_rows=np.array([info.nis_rows for info in told], dtype=np.int64),
@@ -265,6 +278,26 @@ def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Gen
         associations=tuple(info.associations for info in told),
         existence=tuple(info.existence for info in told),
         passed_over=np.array([info.passed_over for info in told], dtype=np.int64),
+    )
+
+
+@contextlib.contextmanager
+def _named(chosen: Filter, where: str) -> Iterator[None]:
+    """What fails in a filter that is not of this house is a fault of that filter, and said to be."""
+    try:
+        yield
+    except DopslamError:
+        raise
+    except Exception as error:
+        if type(chosen).__module__.startswith("dopslam."):
+            raise
+        who, what = type(chosen).__name__, f"{type(error).__name__}: {error}"
+        raise FilterError(f"{where}: {who}: {what} (DOPSLAM_DEBUG=1 shows where)") from error
+
+
+def _shown(answer: Any) -> str:
+    return (
+        f"({', '.join(type(part).__name__ for part in answer)})" if isinstance(answer, tuple) else type(answer).__name__
     )
 
 

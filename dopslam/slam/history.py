@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_vector
+from dopslam.errors import FilterError
 from dopslam.records import Kind, Ragged, check_offsets, edges_of
 from dopslam.slam.pmb.density import INERT, PMB
 
@@ -119,6 +120,58 @@ class Estimate:
     existence: Array = field(default_factory=lambda: np.zeros(0))
     type_probability: Array = field(default_factory=lambda: np.zeros((0, TYPES)))
     track: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+def settled(estimate: Estimate, who: str, before: Array | None = None) -> Estimate:
+    """A filter's answer as arrays of their own: a filter may go on writing into what it handed out.
+
+    Parameters
+    ----------
+    estimate : as a filter gave it, lists included
+    who : for the message
+    before : (n,) mean of an earlier step, None at the first
+
+    Raises
+    ------
+    FilterError
+        If it is none, or its parts do not fit each other or the step before.
+    """
+    if not isinstance(estimate, Estimate):
+        raise FilterError(f"{who}: Info.estimate must be a dopslam.Estimate, got {type(estimate).__name__}")
+    n = np.size(estimate.mean) if before is None else np.size(before)
+    count = np.shape(estimate.existence)[0] if np.ndim(estimate.existence) else 0
+    shapes = {
+        "mean": (n,), "covariance": (n, n), "position": (count, 3), "position_covariance": (count, 3, 3),
+        "existence": (count,), "type_probability": (count, TYPES), "track": (count,),
+    }  # fmt: skip
+    found = {}
+    for name, shape in shapes.items():
+        try:
+            found[name] = np.array(getattr(estimate, name), np.int64 if name == "track" else float)
+        except (TypeError, ValueError) as error:
+            raise FilterError(f"{who}: Estimate.{name} is not made of numbers ({error})") from error
+        if found[name].shape != shape or n < 4:
+            needed = "(n,), x, y, heading, bias and what follows" if name == "mean" and before is None else shape
+            raise FilterError(f"{who}: Estimate.{name} has the shape {found[name].shape}, it must be {needed}")
+    return Estimate(**found)
+
+
+def answer_of_run(answer: tuple[History, Diagnostics], steps: int, who: str) -> tuple[History, Diagnostics]:
+    """What a filter's ``run`` returned, if it is a history of so many steps and its diagnostics.
+
+    Raises
+    ------
+    FilterError
+        If it is not.
+    """
+    fits = isinstance(answer, tuple) and len(answer) == 2
+    if not (fits and isinstance(answer[0], History) and isinstance(answer[1], Diagnostics)):
+        raise FilterError(
+            f"{who} must return (dopslam.History, dopslam.Diagnostics); Diagnostics.none(steps) if it has none"
+        )
+    if answer[0].steps != steps:
+        raise FilterError(f"{who} returned a history of {answer[0].steps} steps for {steps} scans")
+    return answer
 
 
 def history_of_estimates(estimates: Sequence[Estimate]) -> History:

@@ -104,6 +104,75 @@ def test_a_filter_that_fails_names_its_step(case):
         run(case[0], case[2], Broken())
 
 
+class Answers:
+    """A filter of one's own that answers whatever it was made with."""
+
+    capabilities = Capabilities(doppler=False)
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def init(self, problem, rng):
+        return problem.mean, problem.covariance
+
+    def step(self, state, scan, rng):
+        return self.answer(*state)
+
+
+POINT = {"position": [[1.0, 2.0, 3.0]], "position_covariance": [np.eye(3)], "existence": [0.9]}
+ODD = {
+    "must return": lambda mean, covariance: Info(Estimate(mean, covariance)),
+    r"must return \(state, dopslam.Info.*got \(int, Estimate\)": lambda mean, covariance: (
+        0,
+        Estimate(mean, covariance),
+    ),
+    "must be a dopslam.Estimate, got tuple": lambda mean, covariance: (0, Info((mean, covariance))),
+    r"step 0: Answers: Estimate.mean has the shape \(2,\)": lambda mean, covariance: (
+        0,
+        Info(Estimate(mean[:2], covariance)),
+    ),
+    r"Estimate.mean has the shape \(4, 1\)": lambda mean, covariance: (0, Info(Estimate(mean[:, None], covariance))),
+    r"covariance has the shape \(4,\), it must be \(4, 4\)": lambda mean, covariance: (0, Info(Estimate(mean, mean))),
+    r"type_probability has the shape \(0, \d\), it must be \(1,": lambda m, c: (0, Info(Estimate(m, c, **POINT))),
+    "step 0: Answers: KeyError: 'speed'": lambda mean, covariance: {}["speed"],
+    "is not made of numbers": lambda mean, covariance: (0, Info(Estimate("abcd", covariance))),
+    "step 1: Answers: TypeError": lambda mean, covariance: (None, Info(Estimate(mean, covariance))),
+}
+
+
+@pytest.mark.parametrize("said", ODD)
+def test_what_a_filter_of_one_s_own_answers_is_looked_at(said, case):
+    with pytest.raises(FilterError, match=said):
+        run(case[0], case[2], Answers(ODD[said]))
+
+
+def test_a_filter_may_write_into_what_it_handed_out(case):
+    class InPlace(Answers):
+        def step(self, state, scan, rng):
+            mean, covariance = state
+            mean += 1.0
+            return state, Info(Estimate(mean, covariance))
+
+        def init(self, problem, rng):
+            return np.zeros(4), np.eye(4)
+
+    history, _ = run(case[0], case[2], InPlace(None))
+    np.testing.assert_array_equal(history.mean[:, 0], [1, 2, 3, 4, 5, 6])
+
+
+def test_a_run_of_one_s_own_returns_a_history(case):
+    class Whole(Answers):
+        def run(self, problem, scans, rng):
+            return self.answer
+
+    history, told = run(case[0], case[2], FILTERS["joint"]())
+    assert run(case[0], case[2], Whole((history, told)))[0] is history
+    with pytest.raises(FilterError, match=r"Whole.run must return \(dopslam.History"):
+        run(case[0], case[2], Whole(history))
+    with pytest.raises(FilterError, match="5 steps for 6 scans"):
+        run(case[0], case[2], Whole((history.take(slice(0, 5)), told)))
+
+
 def test_a_filter_of_one_s_own_runs_everywhere(call, tmp_path, monkeypatch, capsys):
     """One file outside the package: in run, slam, montecarlo and the tables."""
     monkeypatch.chdir(tmp_path)
@@ -132,6 +201,18 @@ def test_plug_ins_announce_themselves(monkeypatch, tmp_path):
     assert ds.load("ring_road", set=["filter.density=reckoning"]).filter.density == "reckoning"
     with pytest.raises(ConfigError, match="did you mean 'reckoning'"):
         FILTERS["rekoning"]
+
+
+def test_a_plug_in_that_cannot_be_imported_is_in_nobody_s_way(monkeypatch, case):
+    point = metadata.EntryPoint("broken", "there.is_none:Filter", "dopslam.filters")
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [point] if group == "dopslam.filters" else [])
+    assert "broken" in FILTERS and "broken" not in FILTERS.sound() and "broken" not in FILTERS.shipped
+    with pytest.raises(ConfigError, match="'broken': module 'there.is_none' cannot be imported"):
+        FILTERS["broken"]
+    with pytest.raises(ConfigError, match=r"filter.options.nois: .*it has"):
+        build.chosen_filter(ds.load("ring_road", set=["filter.options.nois=1"]), "joint")
+    detections = ds.simulate(ds.load("ring_road", set=["track.steps=3"]))[1]
+    assert ds.slam(ds.problem(ds.load("ring_road", set=["source.kind=model"])), detections, "joint").steps == 3
 
 
 def test_several_filters_run_on_the_same_draws(call, tmp_path):
