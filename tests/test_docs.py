@@ -36,12 +36,19 @@ def test_python_of_a_page_runs(page, capsys, tmp_path, monkeypatch):
 def test_a_tutorial_runs(script, tmp_path):
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
-    said = {"1": "NEES", "2": "slam_joint.geojson", "3": "my room", "4": "mine", "5": "detections"}[script.stem[0]]
+    said = {
+        "1": "NEES",
+        "2": "slam_joint.geojson",
+        "3": "my room",
+        "4": "mine",
+        "5": "detections",
+        "6": "image at x=16: 0.0",
+    }[script.stem[0]]
     assert said in done.stdout
 
 
-def test_there_are_five_tutorials_in_cells():
-    assert [t.stem[0] for t in TUTORIALS] == list("12345")
+def test_there_are_six_tutorials_in_cells():
+    assert [t.stem[0] for t in TUTORIALS] == list("123456")
     assert all(t.read_text(encoding="utf-8").count("\n# %% ") >= 2 for t in TUTORIALS)
 
 

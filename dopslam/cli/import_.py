@@ -16,25 +16,29 @@ if TYPE_CHECKING:
 def import_(
     table: Path,
     *,
-    scene: str,
+    scene: str | None = None,
     out: Path,
     mapping: Annotated[Path | None, Parameter(name="--map")] = None,
     form: Annotated[str, Parameter(name="--format")] = "table",
     track: Path | None = None,
     settings: Settings = None,
 ) -> None:
-    """Turn foreign detections into a dataset file that 'dopslam slam' runs on.
+    """Turn foreign detections into a dataset file that 'dopslam slam' runs on, or channel measurements into one for
+    'dopslam estimate'.
 
     Parameters
     ----------
     table
-        CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path.
+        CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path. Channel
+        measurements: .npy, .npz, .mat or HDF5.
     mapping
-        TOML that says what the columns of a table mean; see the documentation of dopslam.formats.table.
+        TOML that says what the columns of a table mean; see the documentation of dopslam.formats.table. Of channel
+        measurements: what the axes mean and what the link is; see dopslam.formats.csi.
     form
-        Format of the file: table, or one of your own, module:Class or file.py:Class.
+        Format of the file: table, csi (channel measurements), or one of your own, module:Class or file.py:Class.
     scene
-        Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter.
+        Folder with scenario.toml, or the name of a scene that ships: base station, motion model, filter. Not with csi, whose
+        mapping says it all.
     out
         Dataset file to make.
     track
@@ -59,6 +63,14 @@ def import_(
 
     if out.exists():
         raise DatasetError(f"{out}: exists already; remove it or name another file with --out")
+    if form == "csi":
+        if mapping is None or scene is not None or track is not None:
+            raise DatasetError(
+                f"{table}: channel measurements need --map, which says it all, without --scene and --track"
+            )
+        return _channel(table, mapping, out, overrides(settings))
+    if scene is None:
+        raise DatasetError(f"{table}: give --scene, a folder with scenario.toml or the name of a scene that ships")
     opened = reader(form).read(table, mapping)
     kind, period = "traced" if opened.snr else "model", opened.period
 
@@ -88,6 +100,24 @@ def import_(
     hint = "" if opened.doppler else " --doppler-std none"
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"
+    )
+
+
+def _channel(table: Path, mapping: Path, out: Path, flags: list[str]) -> None:
+    from rich.console import Console
+
+    from dopslam.formats import csi
+    from dopslam.pipeline import problem as build
+    from dopslam.store import file as dataset
+
+    found = csi.read(table, mapping, flags)
+    dataset.write_records(out, {"base_stations": build.base_stations(found.scenario)}, found.scenario.to_toml(), 0)
+    dataset.write_signal(out, iter(found.snapshots), len(found.snapshots))
+    if found.doubt:
+        Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {found.doubt}")
+    shape = " × ".join(str(length) for length in found.snapshots.shape[1:])
+    Console(highlight=False, soft_wrap=True, markup=False).print(
+        f"{out}: {len(found.snapshots)} snapshots of {shape} samples; next: dopslam estimate {out}"
     )
 
 

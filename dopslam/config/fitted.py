@@ -86,7 +86,7 @@ def _radio(scenario: Sections, far: float) -> dict[str, Any]:
         comb = max(1, round(bandwidth / (radio.subcarriers * spacing)))
     else:
         comb = max(1, min(int(SPEED_OF_LIGHT / (spacing * longest)), int(bandwidth / (FEWEST_PILOTS * spacing))))
-    pilots = max(2, round(bandwidth / (comb * spacing)))
+    pilots = max(2, round(bandwidth / (comb * spacing))) if radio.pilots is None else len(radio.pilots)
     symbol = PREFIX / spacing
     return {
         "subcarrier_spacing": spacing,

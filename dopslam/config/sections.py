@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -28,6 +29,7 @@ from dopslam.config.types import (
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS, MOTIONS
 
+Pilots = Annotated[tuple[Annotated[int, Field(ge=-1_000_000, le=1_000_000)], ...], Field(min_length=1, max_length=100_000)]
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 
@@ -72,9 +74,10 @@ class Receiver(Frozen):
 class Beams(Frozen):
     """What the base station sends over time."""
 
-    kind: Literal["random_phase", "dft", "antenna"] = "random_phase"
-    beams: Count = 16
-    sweeps: Count = 8
+    # digital: no beams, the base station's elements are observed separately, with the phases that waves have there
+    kind: Literal["random_phase", "dft", "antenna", "digital"] = "random_phase"
+    beams: Count = 16  # not if digital
+    sweeps: Count = 8  # if digital: symbols
     order: Literal["permuted", "linear"] = "permuted"
     seed: Seed = 0
 
@@ -87,9 +90,21 @@ class Radio(Frozen):
     subcarriers: Count = 400  # occupied pilots
     subcarrier_spacing: Hertz = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
+    pilots: tuple[int, ...] | None = (
+        None  # numbers of the subcarriers that do, from the carrier; default a regular comb
+    )
     symbol_period: Seconds = 35.68e-6  # s, between the symbols used
     subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
+
+    @model_validator(mode="after")
+    def _pilots_rise(self):
+        if self.pilots is not None:
+            if any(b <= a for a, b in pairwise(self.pilots)):
+                raise ValueError("pilots must be rising numbers of subcarriers")
+            if "subcarriers" in self.model_fields_set and len(self.pilots) != self.subcarriers:
+                raise ValueError(f"pilots names {len(self.pilots)} subcarriers, but subcarriers = {self.subcarriers}")
+        return self
 
     @model_validator(mode="after")
     def _one_bandwidth(self):

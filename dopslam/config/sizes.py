@@ -17,8 +17,10 @@ LARGEST_DOPPLER = 4000  # resolution widths; a search of 850 takes 8 s a snapsho
 def refuse(scenario: Sections) -> None:
     """Raise ValueError, which names the keys and the limit, for what cannot be."""
     radio, station = scenario.radio, elements(scenario.base_station.array)
+    digital = radio.beams.kind == "digital"
+    sent = {"elements of base_station.array": station} if digital else {"radio.beams.beams": radio.beams.beams}
     factors = {
-        "radio.subcarriers": radio.subcarriers, "radio.beams.beams": radio.beams.beams,
+        "radio.subcarriers": radio.subcarriers, **sent,
         "radio.beams.sweeps": radio.beams.sweeps, "elements of receiver.array": elements(scenario.receiver.array),
     }  # fmt: skip
     samples = math.prod(factors.values())
@@ -28,18 +30,19 @@ def refuse(scenario: Sections) -> None:
             f"{said} is {samples:.3g} samples a snapshot, with {station} elements of base_station.array; at most "
             f"{LARGEST_SNAPSHOT:.0e} and {LARGEST_ARRAY} fit in memory"
         )
-    if radio.beams.beams * station > LARGEST_SNAPSHOT:
+    if not digital and radio.beams.beams * station > LARGEST_SNAPSHOT:
         raise ValueError(
             f"radio.beams.beams = {radio.beams.beams} beams of {station} elements are more than {LARGEST_SNAPSHOT:.0e} "
             "weights; they do not fit in memory"
         )
-    band = radio.subcarriers * radio.comb * radio.subcarrier_spacing
+    spanned = radio.subcarriers * radio.comb if radio.pilots is None else radio.pilots[-1] - radio.pilots[0]
+    band = spanned * radio.subcarrier_spacing
     if band > radio.carrier_frequency:
         raise ValueError(
             f"radio.subcarriers × radio.comb × radio.subcarrier_spacing is a band of {band:.3g} Hz, more than "
             f"radio.carrier_frequency = {radio.carrier_frequency:g} Hz"
         )
-    duration = radio.beams.beams * radio.beams.sweeps * radio.symbol_period
+    duration = (1 if digital else radio.beams.beams) * radio.beams.sweeps * radio.symbol_period
     speed = scenario.estimator.max_radial_velocity
     widths = 2 * speed * duration * radio.carrier_frequency / 299_792_458.0
     if widths > LARGEST_DOPPLER:

@@ -1,4 +1,4 @@
-"""Vectors of a MATLAB file before v7.3, read in a process of its own.
+"""Arrays of a MATLAB file before v7.3, read in a process of its own.
 
 SciPy's reader is compiled and trusts the file: of 600 single flipped bits four ended the process with SIGSEGV. What
 happens to the other process is one line here.
@@ -19,14 +19,20 @@ READER = """
 import sys
 import numpy as np
 from scipy.io import loadmat
-found = {k: np.asarray(v).ravel() for k, v in loadmat(sys.argv[1]).items() if not k.startswith("__")}
-plain = {k: v if v.dtype.kind in "biuf" else np.full(len(v), "?") for k, v in found.items()}
+found = {k: np.asarray(v) for k, v in loadmat(sys.argv[1]).items() if not k.startswith("__")}
+plain = {k: v if v.dtype.kind in "biufc" else np.full(v.shape, "?") for k, v in found.items()}
 np.savez(sys.stdout.buffer, *plain.values(), names=np.array(list(plain), dtype=str))
 """
 
 
 def vectors(path: Path) -> dict[str, np.ndarray]:
-    """Every variable of the file, flat; one that is no real number is an array of texts.
+    """Every variable of the file, flat; one that is no real number is an array of texts. Errors as in :func:`arrays`."""
+    found = {name: array.ravel() for name, array in arrays(path).items()}
+    return {name: flat if flat.dtype.kind != "c" else np.full(len(flat), "?") for name, flat in found.items()}
+
+
+def arrays(path: Path) -> dict[str, np.ndarray]:
+    """Every variable of the file; one that holds no numbers is an array of texts.
 
     Raises
     ------

@@ -21,10 +21,12 @@ from estimation import (
     DipolePattern,
     PathTable,
     SignalModel,
+    Waveform,
     antenna_switching,
     comb,
     cylinder,
     dft_beams,
+    digital,
     estimators,
     outward,
     random_phase_beams,
@@ -51,19 +53,28 @@ def build_array(config: ArrayConfig) -> Array:
 
 
 def signal_model(scenario: Scenario) -> SignalModel:
-    """The model of eq. (2), paper A, that both synthesis and estimation use: swept beams, digital receiver."""
+    """The model that both synthesis and estimation use: eq. (2), paper A, with swept beams and a digital receiver; or,
+    digital at both ends, the channel between all elements, ``H = sum g a_R(aoa) a_T(aod)^T ...``."""
     radio = scenario.radio
     transmitter = build_array(scenario.base_station.array)
     rng = np.random.default_rng(radio.beams.seed)
-    schedule = sweep(
-        _codebook(scenario, transmitter.elements, rng),
-        radio.beams.sweeps,
-        radio.symbol_period,
-        order=radio.beams.order,
-        rng=rng,
-    )
+    if radio.beams.kind == "digital":
+        schedule = digital(radio.beams.sweeps, radio.symbol_period)
+        # Eq. (2) has a_T^H; the phases of a wave that leaves an element are those of the element opposite, conjugated.
+        transmitter = replace(transmitter, positions=-transmitter.positions)
+    else:
+        schedule = sweep(
+            _codebook(scenario, transmitter.elements, rng),
+            radio.beams.sweeps,
+            radio.symbol_period,
+            order=radio.beams.order,
+            rng=rng,
+        )
+    spacing, pilots = radio.subcarrier_spacing, radio.pilots
     return SignalModel(
-        waveform=comb(radio.carrier_frequency, radio.subcarrier_spacing, radio.subcarriers, radio.comb),
+        waveform=comb(radio.carrier_frequency, spacing, radio.subcarriers, radio.comb)
+        if pilots is None
+        else Waveform(radio.carrier_frequency, spacing * np.array(pilots, float)),
         schedule=schedule,
         transmitter=transmitter,
         receiver=build_array(scenario.receiver.array),
