@@ -29,7 +29,9 @@ from dopslam.config.types import (
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS, MOTIONS
 
-Pilots = Annotated[tuple[Annotated[int, Field(ge=-1_000_000, le=1_000_000)], ...], Field(min_length=1, max_length=100_000)]
+Pilots = Annotated[
+    tuple[Annotated[int, Field(ge=-1_000_000, le=1_000_000)], ...], Field(min_length=1, max_length=100_000)
+]
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 
@@ -90,9 +92,7 @@ class Radio(Frozen):
     subcarriers: Count = 400  # occupied pilots
     subcarrier_spacing: Hertz = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
-    pilots: tuple[int, ...] | None = (
-        None  # numbers of the subcarriers that do, from the carrier; default a regular comb
-    )
+    pilots: Pilots | None = None  # numbers of these subcarriers from the carrier; default a regular comb
     symbol_period: Seconds = 35.68e-6  # s, between the symbols used
     subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
