@@ -96,7 +96,10 @@ def progress_display() -> Iterator[Progress]:
         yield progress
 
 
-REMEDY = 'check start, motion and covariances; --set filter.start="snapshot" starts from the detections alone'
+REMEDY = (
+    'check start, motion and covariances; --set filter.start="snapshot" starts from the detections alone, --filter batch '
+    "looks at all of them at once"
+)
 
 
 def restarted_text(variant: str, why: str) -> str:

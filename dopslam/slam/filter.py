@@ -29,9 +29,9 @@ from dopslam.models.motion import CoordinatedTurn, MotionModel
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
+from dopslam.slam.batch.start import started
 from dopslam.slam.history import Diagnostics, Estimate, History, answer_of_run, history_of_estimates, settled
 from dopslam.slam.orientation import turnable
-from dopslam.slam.snapshot.start import started
 
 
 @dataclass(frozen=True, slots=True)

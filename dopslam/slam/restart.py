@@ -19,9 +19,9 @@ from scipy.optimize import linear_sum_assignment
 from dopslam.errors import FilterError
 from dopslam.models.scans import Scans
 from dopslam.records import edges_of
+from dopslam.slam.batch.start import started
 from dopslam.slam.health import DECLARED, FEWEST, Verdict, judge
 from dopslam.slam.history import Diagnostics, History
-from dopslam.slam.snapshot.start import started
 
 Told = tuple[History, Diagnostics]
 Problem = Any  # of dopslam.slam.filter, which calls this module

@@ -56,8 +56,9 @@ def problem_of(hall: Hall) -> Problem:
     motion = CoordinatedTurn(1.0, np.diag(WALK**2))
     wide = np.diag([1e3, 1e3, 10.0, 1e3]) ** 2
     return Problem(
-        hall.stations, np.zeros(4), wide, motion, height=HEIGHT, doppler_limit=DOPPLER, snapshot=True, yaw_std=YAW_OFF
-    )
+        hall.stations, np.zeros(4), wide, motion, height=HEIGHT, doppler_limit=DOPPLER, snapshot=True, yaw_std=YAW_OFF,
+        restart=True,
+    )  # fmt: skip
 
 
 def bound_of(hall: Hall) -> Array:

@@ -15,25 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.errors import FilterError
-from dopslam.models import unmeasured
 from dopslam.models.scans import Scans
-from dopslam.slam.batch.grow import Locate, grow
+from dopslam.slam.batch.grow import grow
 from dopslam.slam.batch.result import Rerun, diagnostics_of, history_of
 from dopslam.slam.batch.rows import Map, rows_of
 from dopslam.slam.batch.smoother import Choices, scaled, smooth
+from dopslam.slam.batch.start import PLENTY, POSE, locator, track_of
 from dopslam.slam.batch.track import KNOWN, Chain
 from dopslam.slam.filter import Capabilities, Problem
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.filters import Joint
 from dopslam.slam.snapshot import start as snapshot
-from dopslam.slam.snapshot.candidates import Prior
-from dopslam.slam.snapshot.locate import Search, find_modes
 
 Array = NDArray[np.float64]
 
-POSE = 4  # entries of a state that a snapshot tells
 ENOUGH = 0.8  # share of the detections that a good start explains
-PLENTY = 0.95  # share from which the chain of snapshots is not doubted
 REPORTED = 0.5  # existence from which a filter's landmark is tried
 
 
@@ -90,7 +86,7 @@ class Batch(Rerun):
                 chain = Chain(motion, np.asarray(mean, float), information, pace)
                 others = [smooth(data, chain, state, covariance, choices)]
                 if np.mean(others[0].owner >= 0) < PLENTY:
-                    others.append(grow(data, chain, state, covariance, choices, _locator(problem, scans, self.doppler)))
+                    others.append(grow(data, chain, state, covariance, choices, locator(problem, scans, self.doppler)))
                 result = max([r for r in (result, *others) if r is not None], key=lambda r: r.score)
             except FilterError as error:
                 if result is None:
@@ -116,26 +112,4 @@ def _located(problem: Problem, scans: Scans, doppler: bool) -> tuple[Array, Arra
     found = snapshot.start(
         scans, problem.motion, problem.anchor, problem.height, prior=(problem.mean, problem.covariance), doppler=doppler
     )
-    n, steps = problem.motion.dimension, scans.steps
-    state = np.tile(np.asarray(problem.mean, float), (steps + 1, 1))
-    covariance = np.tile(np.asarray(problem.covariance, float), (steps + 1, 1, 1))
-    covariance[:, :POSE, POSE:], covariance[:, POSE:, :POSE] = 0.0, 0.0
-    state[0, :POSE], state[1:, :POSE] = found.mean[:POSE], found.chain.mean
-    covariance[0, :POSE, :POSE], covariance[1:, :POSE, :POSE] = found.covariance[:POSE, :POSE], found.chain.covariance
-    return state, covariance + KNOWN * np.eye(n)
-
-
-def _locator(problem: Problem, scans: Scans, doppler: bool) -> Locate:
-    """How a scan is located with what is predicted for it."""
-    search = Search(refined=60, iterations=10)
-    planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance))
-
-    def locate(step: int, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        rays = snapshot.rays_of(scans, step, problem.anchor, problem.height, planar, doppler)
-        modes = find_modes(rays, Prior(mean[:POSE], covariance[:POSE, :POSE]), search)
-        state, spread = np.tile(mean, (len(modes), 1)), np.tile(covariance, (len(modes), 1, 1))
-        spread[:, :POSE, POSE:], spread[:, POSE:, :POSE] = 0.0, 0.0
-        state[:, :POSE], spread[:, :POSE, :POSE] = modes.pose, modes.covariance
-        return state, spread
-
-    return locate
+    return track_of(problem, found, scans.steps)

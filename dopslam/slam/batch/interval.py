@@ -17,12 +17,12 @@ from dopslam.slam.batch.noise import GIVEN
 from dopslam.slam.batch.result import Rerun, diagnostics_of, history_of
 from dopslam.slam.batch.rows import Map, rows_of
 from dopslam.slam.batch.smoother import Smoothed, only_stations
+from dopslam.slam.batch.start import started
 from dopslam.slam.batch.track import KNOWN, Chain, optimize
 from dopslam.slam.filter import Capabilities, Problem
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
 from dopslam.slam.pmb.filters import Joint
-from dopslam.slam.snapshot.start import started
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,6 +18,9 @@ from dopslam.slam.history import Diagnostics, History, estimate_of
 from dopslam.slam.pmb import ek_pmb, mixture, smoother
 from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density, predicted
 
+OPEN_HEADING = 0.1  # rad per step of process noise, beyond which a heading says little of the next
+MANY = 100  # associations that are then kept
+
 
 class State(NamedTuple):
     """What the recursion carries from scan to scan: the density, and how many measurements it has read."""
@@ -41,7 +44,8 @@ class Joint:
     hide, reappear : probabilities per step that a landmark in sight goes out of sight, and that one just gone comes back
     prune_existence : landmarks below this existence are dropped
     linearization : ``"extended"``, or ``"cubature"`` points instead of Jacobians
-    reweight : weight associations by the evidence of the joint update
+    reweight : weight associations by the evidence of the joint update; always, and a hundred of them, where the motion
+        model leaves the heading open
     thinning : reduce the undetected intensity inside the field of view after every scan
     """
 
@@ -63,16 +67,19 @@ class Joint:
 
     def parameters(self, problem: Problem, scans: Scans) -> FilterParameters:
         """Choices and problem in the form that the recursion reads."""
+        # Exact weights of many associations where the heading may be any from one scan to the next, and with it everything
+        # that is seen: products of single likelihoods know nothing of an error that all share.
+        turned = bool(np.sqrt(problem.motion.process_noise[2, 2]) > OPEN_HEADING)
         second = 0.01 * problem.undetected[0] if self.intensity_sr is None else self.intensity_sr
         return FilterParameters(
             joint=self.correlated,
             doppler=self.doppler,
             iterations=self.iterations,
-            associations=self.associations,
+            associations=max(self.associations, MANY) if turned else self.associations,
             gate=self.gate,
             prune=self.prune_existence,
             cubature=self.linearization == "cubature",
-            reweight=self.reweight,
+            reweight=self.reweight or turned,
             thinning=self.thinning,
             survival=problem.survival,
             hide=self.hide,

@@ -12,7 +12,7 @@ from dopslam.compute.compiled import compiled, inlined, take
 from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
 from dopslam.models.kernels import linearize, measured_rows, noise_entry, subtract
 from dopslam.slam.pmb.density import start_of
-from dopslam.slam.pmb.hypotheses import CELL
+from dopslam.slam.pmb.hypotheses import CELL, log_shape
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def workspace(m, n, size):
 @compiled
 def _innovate(z, noise, scale, mean, covariance, n, block, kind, point, around, model, work):
     """Whiten one innovation with `scale` times R, linearized at `point` (its Gaussian `around`, for cubature); νᵀS⁻¹ν and
-    ln N(ν; 0, S). Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
+    ln of the density of ν, a Gaussian's or a Student-t's (`log_shape`). Leaves L⁻¹ν in work.nu and L⁻¹HP in work.projected.
     """
     m = z.shape[0]
     linearize_block(point, around, n, block, kind, model, work.predicted, work.by_state, work.by_landmark, work.extra)
@@ -74,7 +74,7 @@ def _innovate(z, noise, scale, mean, covariance, n, block, kind, point, around, 
         work.nu[i] = value / work.factor[i, i]
         distance += work.nu[i] * work.nu[i]
         log_density -= math.log(work.factor[i, i])
-    return distance, log_density - 0.5 * distance
+    return distance, log_density + log_shape(distance, measured_rows(noise), model.robust)
 
 
 @compiled

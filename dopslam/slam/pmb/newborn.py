@@ -145,12 +145,20 @@ def give_birth(mean, covariance, n, size, scan, measurement, kinds, association,
                     value += pull[i, k] * covariance[k, j]
                 covariance[at + i, j] = value
                 covariance[j, at + i] = value
+        # G R Gᵀ rather than (BᵀR̃⁻¹B)⁻¹, which is the same where the fit has converged to the last digit: with this one the
+        # whole covariance is positive definite wherever it ended.
+        reach = np.zeros((3, m))
+        for i in range(3):
+            for r in range(m):
+                for k in range(m):
+                    reach[i, r] += gain[i, k] * noise_entry(noise, kind, k, r)
         for i in range(3):
             for j in range(i + 1):
-                value = own[i, j]
-                if informed:
-                    for k in range(n):
-                        value += pull[j, k] * covariance[at + i, k]
+                value = own[i, 2] * own[j, 2] / HELD**2 if model.planar else 0.0
+                for r in range(m):
+                    value += reach[i, r] * gain[j, r]
+                for k in range(n):
+                    value += pull[j, k] * covariance[at + i, k]
                 covariance[at + i, at + j] = value
                 covariance[at + j, at + i] = value
 

@@ -306,10 +306,11 @@ def give_birth(
             start = starting_point(seen.z[p], state, VA + t, setting)
             mean[own], covariance[own, own] = births.point[p, t] if start is None else start, 100.0 * np.eye(3)
             continue
-        mean[own], covariance[own, own] = found.x, found.own
+        mean[own] = found.x
         pull = -found.gain @ linearize(state, found.x, VA + t, setting, seen.z.shape[1])[1]
         covariance[own, before] = pull @ covariance[:n, before]
         covariance[before, own] = covariance[own, before].T
+        covariance[own, own] = found.gain @ seen.noise[p] @ found.gain.T + pull @ spread @ pull.T
     kind, track = [VA + t for _, t in born], [first + p for p, _ in born]
     kinds, tracks = (np.append(a, np.array(b, np.int64)) for a, b in ((density.kind, kind), (density.track, track)))
     return Density(mean, covariance, kinds, np.append(density.weight, weight), tracks)

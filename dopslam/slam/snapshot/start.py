@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,15 +169,6 @@ def start(
     whole[:4, :4] = alone
     best = int(used[np.argmax(joined.margin[used])])
     return Start(whole_mean, whole, best, joined)
-
-
-def started(problem: Any, scans: Scans, doppler: bool) -> Any:
-    """A :class:`~dopslam.slam.filter.Problem` with the start that the scans alone tell, where it asks for that."""
-    if not problem.snapshot:
-        return problem
-    known = (problem.mean, problem.covariance)
-    found = start(scans, problem.motion, problem.anchor, problem.height, prior=known, doppler=doppler)
-    return replace(problem, mean=found.mean, covariance=found.covariance, snapshot=False)
 
 
 def passing(scans: Scans, search: Search) -> Array:
