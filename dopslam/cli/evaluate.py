@@ -7,7 +7,7 @@ from pathlib import Path
 from dopslam.cli.common import Settings, leave_if_lost, overrides
 
 
-def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = None) -> None:
+def evaluate(dataset: Path, *, out: Path | None = None, align: bool = False, settings: Settings = None) -> None:
     """Compare track and map with the truth and the bound: table, summary.json, figures.
 
     Parameters
@@ -16,6 +16,8 @@ def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = Non
         A file with the truth, detections, at least one filter history and its bound.
     out
         Folder for summary.json, table.txt and the figures; by default the dataset's own.
+    align
+        Move track and map rigidly onto the truth first, for a truth in a frame of its own; no bound is set beside them.
     settings
         Override a scenario key, for instance --set evaluation.found_radius=1.
     """
@@ -30,8 +32,8 @@ def evaluate(dataset: Path, *, out: Path | None = None, settings: Settings = Non
     if target.is_file():
         raise DatasetError(f"{target}: is a file; name a folder with --out")
     refuse_unwritable(target)
-    summary, evaluations = stages.evaluate(dataset, overrides(settings))
+    summary, evaluations = stages.evaluate(dataset, overrides(settings), align=align)
     console = Console(markup=False)
     console.print(tables.run_table(summary))  # first: what a full disk cannot take back
-    stages.report(dataset, target, summary, evaluations)
+    stages.report(dataset, target, summary, evaluations, align)
     leave_if_lost(summary, console)

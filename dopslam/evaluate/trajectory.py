@@ -54,8 +54,9 @@ def poses(position: Array, heading: Array) -> Array:
     return out
 
 
-def aligned(truth: Array, estimate: Array) -> Array:
-    """The estimate (K, 4, 4) moved rigidly onto the truth by least squares over the positions (Umeyama 1991, no scale)."""
+def alignment(truth: Array, estimate: Array) -> Array:
+    """(4, 4) rigid motion of the estimate (K, 4, 4) onto the truth, least squares over the positions (Umeyama 1991, no
+    scale)."""
     _same(truth, estimate)
     a, b = truth[:, :3, 3], estimate[:, :3, 3]
     left, singular, right = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
@@ -65,7 +66,7 @@ def aligned(truth: Array, estimate: Array) -> Array:
     move = np.eye(4)
     move[:3, :3] = left @ sign @ right
     move[:3, 3] = a.mean(axis=0) - move[:3, :3] @ b.mean(axis=0)
-    return move @ estimate
+    return move
 
 
 def absolute_errors(truth: Array, estimate: Array, align: bool = False) -> Array:
@@ -75,7 +76,7 @@ def absolute_errors(truth: Array, estimate: Array, align: bool = False) -> Array
     methods that know their map only up to a rigid motion.
     """
     _same(truth, estimate)
-    moved = aligned(truth, estimate) if align else estimate
+    moved = alignment(truth, estimate) @ estimate if align else estimate
     return np.linalg.norm(moved[:, :3, 3] - truth[:, :3, 3], axis=1)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dopslam.config.scenario import Scenario, override, parse
 from dopslam.errors import DatasetError, DopslamError
+from dopslam.evaluate.alignment import aligned
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation
 from dopslam.filters import FILTERS
@@ -212,11 +213,13 @@ def bound_name(doppler: bool) -> str:
     return "bound" if doppler else "bound, no Doppler"
 
 
-def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> tuple[dict, dict[str, Evaluation]]:
+def evaluate(
+    path: Path, settings=(), failed: dict[str, str] | None = None, align: bool = False
+) -> tuple[dict, dict[str, Evaluation]]:
     """Summary of every filter variant a dataset holds, and the evaluations behind it.
 
     With ``failed`` (name → why) a variant that cannot be judged is added to it, and the others are; the summary holds
-    it.
+    it. With ``align`` each is moved rigidly onto the truth first, and no bound is set beside it.
     """
     scenario, seed = scenario_of(path, settings, "evaluate")
     track, landmarks, paths, _ = read_truth(path)
@@ -228,7 +231,9 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     for name in list(found):
         filter_name, doppler = split_variant(name)
         group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
-        if group in have:
+        if align:
+            _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})
+        elif group in have:
             bounds[name] = dataset.read_record(path, group, Bound)
         elif not _map_known(landmarks, paths):
             _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})
@@ -243,18 +248,30 @@ def evaluate(path: Path, settings=(), failed: dict[str, str] | None = None) -> t
     detections = read_detections(path)
     _refuse_misfits(path, {"track": track, "paths": paths, "detections": detections})
     try:
-        return judged(scenario, seed, (track, landmarks, paths), detections, found, bounds, failed)
+        moved: dict[str, dict[str, float]] = {}
+        if align:
+            for name, history in found.items():
+                found[name], moved[name] = aligned(history, track)
+        summary, evaluations = judged(scenario, seed, (track, landmarks, paths), detections, found, bounds, failed)
+        for name, how in moved.items():
+            if name in summary["variants"]:
+                summary["variants"][name]["aligned"] = how
+            if name == summary["filter"]:
+                summary["aligned"] = how
+        return summary, evaluations
     except DopslamError as error:
         raise DatasetError(f"{path}: {error}") from error
 
 
-def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation]) -> None:
+def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evaluation], align: bool = False) -> None:
     """Write ``summary.json``, ``table.txt``, ``errors.csv`` (per step), ``report.html`` and the figures of an evaluated
     dataset into a folder, made if missing."""
     Path(target).mkdir(parents=True, exist_ok=True)
     scenario, _ = scenario_of(path)
     truth, found = read_truth(path), histories(path)
     track, landmarks, paths, plan = truth
+    if align:
+        found = {name: aligned(history, track)[0] for name, history in found.items()}
     mesh = dataset.read_record(path, "mesh", Mesh).triangles if "mesh" in dataset.groups(path) else None
     shown = replay.replay(*truth, found, mesh, scenario.receiver.height, scenario.filter.report_existence)
     main = summary["filter"]
