@@ -32,8 +32,8 @@ def import_(
         CSV with a header, or a MATLAB file (before v7.3) of equally long vectors; one row per detected path. Channel
         measurements: .npy, .npz, .mat or HDF5.
     mapping
-        TOML that says what the columns of a table mean; see the documentation of dopslam.formats.table. Of channel
-        measurements: what the axes mean and what the link is; see dopslam.formats.csi.
+        TOML that says what the columns of a table mean, in which unit and convention. Of channel measurements: what the
+        axes mean and what the link is. All keys, with examples: python -m pydoc dopslam.formats.table (or .csi).
     form
         Format of the file: table, csi (channel measurements), or one of your own, module:Class or file.py:Class.
     scene
@@ -95,8 +95,8 @@ def import_(
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
     dataset.write_records(out, records, world.to_toml(), 0)
     doubt = _doubt(found, records["base_stations"], world.receiver.height)
-    if doubt:
-        Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {doubt}")
+    for remark in (*opened.remarks, *([doubt] if doubt else [])):
+        Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {remark}")
     hint = "" if opened.doppler else " --doppler-std none"
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(found.delay)} detections in {found.steps} snapshots; next: dopslam slam {out}{hint}"

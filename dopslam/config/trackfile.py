@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator, PchipInterpolator
 
+from dopslam.config.delimited import cells_of
 from dopslam.errors import ConfigError
 
 COLUMNS = ("time", "x", "y", "z", "heading", "vx", "vy", "vz", "bias", "drive")
@@ -59,12 +60,12 @@ def read_rows(path: Path, called: str) -> dict[str, np.ndarray]:
         If the file cannot be read, or a row is no good.
     """
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            if path.suffix.lower() in TUM:
+        if path.suffix.lower() in TUM:
+            with open(path, encoding="utf-8-sig") as file:
                 lines = [line.split() for line in file if line.strip() and not line.startswith("#")]
-                header = ["time", "x", "y", "z", "qx", "qy", "qz", "qw"]
-            else:
-                header, *lines = [line for line in csv.reader(file) if line and not line[0].startswith("#")]
+            header = ["time", "x", "y", "z", "qx", "qy", "qz", "qw"]
+        else:
+            header, lines = cells_of(path)
     except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
         raise ConfigError(f"{called} = {str(path)!r}: cannot be read as CSV with a header ({error})") from error
     names = [name.strip() for name in header]

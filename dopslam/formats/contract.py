@@ -26,12 +26,14 @@ class Opened:
     period : s between snapshots, as the file's time stamps say; None where they are only counted
     doppler : whether radial velocities were measured
     snr : whether strengths were measured
+    remarks : what was made of the file that its owner may not have meant
     """
 
     detections: Callable[[Scenario, Track | None], DetectionSeries]
     period: float | None = None
     doppler: bool = True
     snr: bool = True
+    remarks: tuple[str, ...] = ()
 
 
 @runtime_checkable

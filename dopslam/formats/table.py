@@ -1,11 +1,11 @@
 """Detections that somebody else measured or simulated, as a dataset that ``dopslam slam`` runs on.
 
-A table (CSV with a header, or a MATLAB file of equally long vectors) holds one row per detected path. A small TOML
-file says what
-its columns mean::
+A table (CSV with a header, or a MATLAB file of equally long vectors) holds one row per detected path. Commas, tabs, or
+semicolons with decimal commas; a cell that is empty or NaN was not measured in that row, and a row without any
+measurement is a snapshot that found nothing. A small TOML file says what its columns mean::
 
     [columns]                  # ours = "name in the table"; any subset, but time or step, and delay or an angle
-    time = "t"                 # or step, counted from 0
+    time = "t"                 # or step, counted from 0 (from 1: [offsets] step = 1)
     delay = "toa"
     aoa_azimuth = "phi"        # and aoa_elevation, aod_azimuth, aod_elevation
     doppler = "fd"             # or radial_velocity
@@ -13,12 +13,14 @@ its columns mean::
     delay_std = "toa_sigma"    # …_std columns in the unit of their quantity
 
     [units]                    # default: s, rad, Hz, m/s, linear
-    delay = "ns"               # s ms us ns m
+    time = "ms"                # s ms us ns min
+    delay = "ns"               # s ms us ns ps m
     aoa_azimuth = "deg"        # rad deg
-    power = "dB"               # linear dB
+    doppler = "kHz"            # Hz kHz; radial_velocity: m/s km/h
+    power = "dB"               # linear dB dBm
 
     [conventions]              # defaults first
-    elevation = "horizon"      # or "zenith": angles from the vertical
+    elevation = "horizon"      # or "zenith": angles from the vertical; aoa_elevation, aod_elevation for one of them
     azimuth = "counterclockwise"   # or "clockwise"
     aoa_frame = "receiver"     # or "world": not turned with the heading; needs the true headings
     aod_frame = "base_station" # or "world"
@@ -45,7 +47,6 @@ paths spread is widened alike, so that no hypothesis gains by it.
 
 from __future__ import annotations
 
-import csv
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +54,7 @@ from typing import Any
 
 import numpy as np
 
+from dopslam.config.delimited import cells_of, numbers_of
 from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.formats import matlab
@@ -64,15 +66,18 @@ from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, Track
 
 WIDTHS = (None, 2 * np.pi, np.pi, 2 * np.pi, np.pi, None)  # of what is searched; None: from the scenario or the data
 UNITS = {
-    "delay": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "m": 1 / SPEED_OF_LIGHT},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "delay": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ps": 1e-12, "m": 1 / SPEED_OF_LIGHT},
     "angle": {"rad": 1.0, "deg": np.pi / 180},
     "doppler": {"Hz": 1.0, "kHz": 1e3},
     "radial_velocity": {"m/s": 1.0, "km/h": 1 / 3.6},
-    "power": {"linear": 1.0, "dB": 1.0},
+    "power": {"linear": 1.0, "dB": 1.0, "dBm": 1.0},
     "snr": {"linear": 1.0, "dB": 1.0},
 }
 CONVENTIONS: dict[str, tuple] = {
     "elevation": ("horizon", "zenith"),
+    "aoa_elevation": ("horizon", "zenith"),
+    "aod_elevation": ("horizon", "zenith"),
     "azimuth": ("counterclockwise", "clockwise"),
     "aoa_frame": ("receiver", "world"),
     "aod_frame": ("base_station", "world"),
@@ -110,7 +115,8 @@ def read_mapping(path: str | Path) -> Mapping:
     measured = [*QUANTITIES, "doppler", "power", "snr"]
     allowed = {
         "columns": ["time", "step", *measured, *(f"{name}_std" for name in measured[:7])],
-        "units": measured, "conventions": list(CONVENTIONS), "offsets": measured, "std": measured[:7],
+        "units": ["time", *measured], "conventions": list(CONVENTIONS), "offsets": ["time", "step", *measured],
+        "std": measured[:7],
         "assumed": list(QUANTITIES),
     }  # fmt: skip
     for section, content in tree.items():
@@ -161,8 +167,14 @@ def _units(name: str) -> dict[str, float]:
     return UNITS["angle"] if name.startswith("ao") else UNITS[name]
 
 
-def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
+def read_table(path: str | Path, names: list[str], may_miss: frozenset[str] = frozenset()) -> dict[str, np.ndarray]:
     """Columns of a CSV or MATLAB (up to v7.2) file as equally long float vectors.
+
+    Parameters
+    ----------
+    path : the file
+    names : of the columns that are wanted
+    may_miss : those that may hold NaN, where nothing was measured
 
     Raises
     ------
@@ -174,14 +186,12 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
         if path.suffix.lower() == ".mat":
             found = matlab.vectors(path)
         else:
-            with open(path, newline="", encoding="utf-8-sig") as file:
-                header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
-            columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
-            header = [name.strip() for name in header]
+            header, rows = cells_of(path)
             twice = sorted({name for name in header if header.count(name) > 1} & set(names))
             if twice:
                 raise DatasetError(f"{path}: column {twice[0]!r} stands in the header twice; rename or remove one")
-            found = dict(zip(header, map(np.array, columns), strict=True))
+            columns = zip(*rows, strict=True) if rows else [()] * len(header)
+            found = dict(zip(header, columns, strict=True))
     except DatasetError:
         raise
     except Exception as error:  # scipy and csv raise all kinds for damaged files
@@ -193,11 +203,13 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
         if name not in found:
             raise DatasetError(f"{path}: has no column {name!r}; it has {', '.join(found) or 'none'}")
         try:
-            table[name] = found[name].astype(float)
+            cells = found[name]
+            table[name] = numbers_of(list(cells)) if isinstance(cells, tuple) else cells.astype(float)
         except (ValueError, TypeError) as error:
             raise DatasetError(f"{path}: column {name!r} holds something that is no number ({error})") from error
-        if not np.all(np.isfinite(table[name])):
-            row = int(np.argmin(np.isfinite(table[name])))
+        wrong = np.isinf(table[name]) if name in may_miss else ~np.isfinite(table[name])
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
             raise DatasetError(
                 f"{path}: column {name!r} holds {table[name][row]} in data row {row + 1}; remove such rows"
             )
@@ -207,6 +219,18 @@ def read_table(path: str | Path, names: list[str]) -> dict[str, np.ndarray]:
         sizes = ", ".join(f"{name} {len(column)}" for name, column in table.items())
         raise DatasetError(f"{path}: columns differ in length: {sizes}")
     return table
+
+
+def columns_of(path: str | Path, mapping: Mapping) -> dict[str, np.ndarray]:
+    """Columns of a table by our names, in its units; time in seconds, steps counted from 0; NaN where a quantity was not
+    measured."""
+    able = [ours for ours in mapping.columns if ours.removesuffix("_std") in (*QUANTITIES, "doppler")]
+    table = read_table(path, list(mapping.columns.values()), frozenset(mapping.columns[ours] for ours in able))
+    get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
+    for name in {"time", "step"} & set(get):
+        scale = UNITS["time"][mapping.units.get("time", "s")] if name == "time" else 1.0
+        get[name] = (get[name] - mapping.offsets.get(name, 0.0)) * scale
+    return get
 
 
 def detections(
@@ -226,10 +250,9 @@ def detections(
     scenario : its carrier and BS yaw are used where needed
     steps : number of snapshots; default up to the last detection
     truth : true track; its times are the snapshots', and AOAs in the world frame need its headings
-    table : the file's columns where they have been read already
+    table : the file's columns where they have been read already, as :func:`columns_of` gives them
     """
-    table = read_table(path, list(mapping.columns.values())) if table is None else table
-    get = {ours: table[theirs] for ours, theirs in mapping.columns.items()}
+    get = columns_of(path, mapping) if table is None else table
     step, time = snapshots(path, get, truth)
     count = steps if steps is not None else int(step.max(initial=-1)) + 1 if time is None else len(time)
     outside = (step < 0) | (step >= count)
@@ -239,6 +262,7 @@ def detections(
             f"{int(np.argmax(outside)) + 1}; give the track of the same drive"
         )
     order = np.argsort(step, kind="stable")
+    order = order[_tells(get)[order]]
     get, step = {name: column[order] for name, column in get.items()}, step[order]
     z, std = _measured(path, get, mapping, scenario)
     if mapping.conventions.get("uplink", False):
@@ -266,9 +290,15 @@ def detections(
         noise_variance=np.ones(count),
         threshold=float(snr.min(initial=np.inf)) if len(snr) else 1.0,
         false_alarm_rate=float(scenario.source.model.clutter_rate),
-        search_volume=unmeasured.volume(metres, np.asarray(missing.any(axis=0))),
+        search_volume=unmeasured.volume(metres, missing.mean(axis=0) if len(missing) else np.zeros(6)),
         time=time, delay_range=np.inf if mapping.delay_modulo is None else mapping.delay_modulo * _delay_unit(mapping),
     )  # fmt: skip
+
+
+def _tells(get: dict[str, np.ndarray]) -> np.ndarray:
+    """(N,) rows that measured anything; others say that a snapshot found nothing."""
+    measured = [get[name] for name in (*QUANTITIES, "doppler") if name in get]
+    return np.isfinite(measured).any(axis=0)
 
 
 def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:
@@ -289,6 +319,7 @@ def _measured(path, get: dict[str, np.ndarray], mapping: Mapping, scenario: Scen
             scale *= SPEED_OF_LIGHT / scenario.radio.carrier_frequency
         if source in get:
             z[:, i] = (get[source] - mapping.offsets.get(source, 0.0)) * scale
+            there = ~np.isnan(z[:, i])
             if f"{source}_std" in get:
                 std[:, i] = get[f"{source}_std"] * scale
             elif source in mapping.std:
@@ -297,9 +328,10 @@ def _measured(path, get: dict[str, np.ndarray], mapping: Mapping, scenario: Scen
                 raise DatasetError(
                     f"{path}: how accurate is {source}? Give std.{source} or a column {source}_std in the mapping"
                 )
-            if np.any(std[:, i] <= 0):
-                raise DatasetError(f"{path}: column {source}_std holds values that are not positive")
+            if not np.all(std[there, i] > 0):
+                raise DatasetError(f"{path}: column {source}_std holds values that are missing or not positive")
             _turn(name, i, z, mapping)
+            z[~there, i], std[~there, i] = _instead(name, z[there, i], mapping), np.nan
         elif name in mapping.assumed:
             z[:, i] = mapping.assumed[name]
             if name in mapping.std:
@@ -307,8 +339,14 @@ def _measured(path, get: dict[str, np.ndarray], mapping: Mapping, scenario: Scen
     return z, std
 
 
+def _instead(name: str, measured: np.ndarray, mapping: Mapping) -> float:
+    """What stands for a quantity in the rows that lack it: where the law is linearized, with a deviation that tells nothing."""
+    usual = 0.0 if name.endswith("azimuth") or not len(measured) else float(np.median(measured))
+    return mapping.assumed.get(name, usual)
+
+
 def _turn(name: str, i: int, z: np.ndarray, mapping: Mapping) -> None:
-    if name.endswith("elevation") and mapping.conventions.get("elevation") == "zenith":
+    if name.endswith("elevation") and mapping.conventions.get(name, mapping.conventions.get("elevation")) == "zenith":
         z[:, i] = np.pi / 2 - z[:, i]
     if name.endswith("azimuth") and mapping.conventions.get("azimuth") == "clockwise":
         z[:, i] *= -1
@@ -322,7 +360,11 @@ def _snr(get: dict[str, np.ndarray], mapping: Mapping) -> np.ndarray:
     for name, floor in (("snr", 0.0), ("power", mapping.noise_floor_db or 0.0)):
         if name in get:
             value = get[name] - mapping.offsets.get(name, 0.0)
-            decibel = value if mapping.units.get(name) == "dB" else 10 * np.log10(np.maximum(value, 1e-300))
+            decibel = (
+                value
+                if mapping.units.get(name, "linear").startswith("dB")
+                else 10 * np.log10(np.maximum(value, 1e-300))
+            )
             return 10 ** ((decibel - floor) / 10)
     return np.ones(rows)
 
@@ -330,6 +372,20 @@ def _snr(get: dict[str, np.ndarray], mapping: Mapping) -> np.ndarray:
 def knows_snr(mapping: Mapping) -> bool:
     """Whether the table tells the strength of its paths, so that the probability of detection can follow it."""
     return bool({"snr", "power"} & set(mapping.columns))
+
+
+def _remarks(get: dict[str, np.ndarray]) -> tuple[str, ...]:
+    """What was made of a table that somebody may not have meant."""
+    tells, said = _tells(get), []
+    for name in (*QUANTITIES, "doppler"):
+        gone = int(np.isnan(get[name][tells]).sum()) if name in get else 0
+        if gone:
+            said.append(f"{name} is missing in {gone} of {tells.sum()} rows and counts there as not measured")
+    if not tells.all():
+        said.append(f"{int((~tells).sum())} rows without any measurement are taken as snapshots that found nothing")
+    if "step" in get and get["step"].min() == 1:
+        said.append("steps begin at 1: if they are counted from 1, say so in the mapping ([offsets] step = 1)")
+    return tuple(said)
 
 
 class ForeignTable:
@@ -342,10 +398,12 @@ class ForeignTable:
         if mapping is None:
             raise DatasetError(f"{path}: a table needs a mapping that says what its columns mean; give --map")
         rule = read_mapping(mapping)
-        columns = read_table(path, list(rule.columns.values()))
+        columns = columns_of(path, rule)
 
         def found(world: Scenario, truth: Track | None) -> DetectionSeries:
             return detections(path, rule, world, None if truth is None else truth.steps, truth, columns)
 
-        period = None if "step" in rule.columns else period_of(columns[rule.columns["time"]])
-        return Opened(found, period, bool({"doppler", "radial_velocity"} & set(rule.columns)), knows_snr(rule))
+        period = None if "step" in rule.columns else period_of(columns["time"])
+        return Opened(
+            found, period, bool({"doppler", "radial_velocity"} & set(rule.columns)), knows_snr(rule), _remarks(columns)
+        )

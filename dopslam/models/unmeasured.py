@@ -32,8 +32,9 @@ def planar(variance: np.ndarray) -> bool:
 
 
 def volume(widths: np.ndarray, missing: np.ndarray) -> float:
-    """Volume that false paths spread over; ``missing`` (6,) counts with the width of its own Gaussian."""
-    return float(np.prod(np.where(missing, WIDE * widths, widths)))
+    """Volume that false paths spread over; ``missing`` (6,) counts with the width of its own Gaussian. It is the share of
+    the detections that lack a quantity, where only some do: the geometric mean over them."""
+    return float(np.prod(widths * WIDE ** np.asarray(missing, float)))
 
 
 def filled(covariance: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -213,7 +213,7 @@ def test_delay_and_arrival_in_the_plane_place_a_receiver_without_odometry(tmp_pa
     [
         ('delay = "toa"', 'dealy = "toa"', "unknown key columns.dealy"),
         ('delay = "toa"', 'delay = "toaa"', "no column 'toaa'; it has k, toa"),
-        ('delay = "ns"', 'delay = "miles"', "known are s, ms, us, ns, m"),
+        ('delay = "ns"', 'delay = "miles"', "known are s, ms, us, ns, ps, m"),
         ('"zenith"', '"upside"', "choose one of"),
         ("delay = 0.3", "", "how accurate is delay"),
         ("delay = 0.3", "delay = -1", "positive"),
@@ -231,7 +231,7 @@ def test_a_wrong_mapping_is_one_error(tmp_path, ours, old, new, message):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("", "cannot be read"), ("k,toa\n", "no column"), ("k,toa,phi,theta,pa,pe,fd\n0,1,2,3,4,5,nan\n", "holds nan in data row 1"),
+    [("", "cannot be read"), ("k,toa\n", "no column"), ("k,toa,phi,theta,pa,pe,fd\n0,1,2,3,4,5,inf\n", "holds inf in data row 1"),
      ("k,toa,phi,theta,pa,pe,fd\n0,1,2,3,4,5,x\n", "no number"), ("k,toa,phi,theta,pa,pe,fd\n0,1,2\n", "cannot be read"),
      ("k,toa,phi,theta,pa,pe,fd\n0.5,1,2,3,4,5,6\n", "whole")],
 )  # fmt: skip
