@@ -371,6 +371,34 @@ def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
     assert left[0.8][901] == pytest.approx(left[1.0][901], rel=0.2)
 
 
+def test_what_is_too_weak_to_be_seen_is_not_given_up_for_what_is_seen_beside_it():
+    """A wall's virtual anchor and a copy beside it, seen last when it was near enough: the wall's detections in its cell do not
+    speak against it, while they do against one that should be as strong as they are."""
+    experiment = Experiment(steps=60)
+    _, scans, _ = draw(experiment, np.random.default_rng(11))
+    filter_ = small(experiment, types=(Form.VA_AOD, Form.PS))
+    rng = np.random.default_rng(5)
+    state = filter_.init(*informed_start(rng, Box(experiment.start), scans[0], filter_.parameters, 0.1, 500), 30.0)
+    for scan in scans[:30]:
+        state, _ = filter_.step(rng, state, scan)
+    chart, wall = state.map, experiment.features[0]
+    row = int(np.argmin(np.linalg.norm(chart.center - wall, axis=1)))
+    at = slice(3 * row, 3 * row + 3)
+    left = {}
+    for name, share in (("weak", 0.02), ("strong", 1.0)):
+        copied = chart.joined(
+            np.array([900]), np.array([1]), np.full(1, int(Form.VA_AOD)), np.full(1, 0.95),
+            chart.reference[[row]] * [0.02, 0.02**2, share], chart.center[[row]] + [0.25, 0.1, 0], chart.gain[at][None],
+            chart.spread[at, at][None],
+        )  # fmt: skip
+        other = replace(state, map=copied._replace(seen=copied.seen + 10))
+        for scan in scans[30:45]:
+            other, _ = filter_.step(np.random.default_rng(1), other, scan)
+        left[name] = float(other.map.existence[other.map.label == 900].sum())
+    assert left["weak"] > 0.9
+    assert left["strong"] < 0.6
+
+
 def test_weights_are_flattened_only_as_far_as_particles_are_needed():
     rng = np.random.default_rng(1)
     mild, sharp = rng.normal(0, 0.5, 400), rng.normal(0, 300.0, 400)

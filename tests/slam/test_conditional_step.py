@@ -100,7 +100,8 @@ def update(filter_, active, predicted, scan, rows, log_false, log_birth):
         chart.form, mean, covariance, chart.center, chart.gain, chart.spread, pose, *slopes, anchor, rows, scale,
         filter_.pair_gate, np.square(scan.amplitude),
     )  # fmt: skip
-    log_amplitude[1:, 0] += np.log(filter_.double) * cell.any(axis=1)[1:]
+    expected = 1 - p.amplitude.missed_probability(chart.reference[:, 2] * np.exp(-0.5 * loss))
+    log_amplitude[1:, 0] += (np.log(1 - (1 - filter_.double) * expected) * cell.any(axis=1))[1:]
     found, log_born = association(chart, log_density, log_amplitude, log_false, log_birth)
     owner = chart.owner
     log_pair = found.log_nu[owner] + log_amplitude[:, 1:] - log_false
@@ -132,9 +133,10 @@ def update(filter_, active, predicted, scan, rows, log_false, log_birth):
     u = np.sum(part * amplitudes[:, :, 0], axis=1)
     variance = np.sum(part * (amplitudes[:, :, 1] + (amplitudes[:, :, 0] - u[:, None]) ** 2), axis=1)
     loss = np.exp(log_losses(chart.form, filter_.dynamics.pose(whole)[0], center, anchor))
+    seen = np.sum(share[:, 1:] * amplitudes[:, 1:, 0], axis=1) / np.maximum(weight, 1e-300) * np.sqrt(loss)
+    reference = np.column_stack([u * np.sqrt(loss), variance * loss, gone * chart.reference[:, 2] + seen])
     after = Map(
-        chart.label, chart.first, chart.form, weight, hidden, chart.seen + 1 - gone,
-        np.column_stack([u * np.sqrt(loss), variance * loss]), center, gain, spread,
+        chart.label, chart.first, chart.form, weight, hidden, chart.seen + 1 - gone, reference, center, gain, spread,
     )  # fmt: skip
     return whole, covariance, after, found.marginal, found.new, log_born
 
@@ -200,7 +202,7 @@ def test_what_is_left_of_an_agent_that_moves_as_one_is_nothing():
     root = np.array([0.3, -0.2, 0.1, 0.4])
     covariance = np.outer(root, root)
     chart = Map(
-        np.array([-1, 4]), np.array([0, 1, 2]), np.array([0, 2]), np.array([0.9, 0.8]), np.zeros(2), np.ones(2), np.ones((2, 2)),
+        np.array([-1, 4]), np.array([0, 1, 2]), np.array([0, 2]), np.array([0.9, 0.8]), np.zeros(2), np.ones(2), np.ones((2, 3)),
         np.zeros((2, 3)), np.concatenate([np.zeros((3, 4)), np.arange(12.0).reshape(3, 4)]), np.diag([0.0, 0, 0, 1, 2, 3]),
     )  # fmt: skip
     active, mean = np.array([0, 1, 3, 4]), np.arange(7.0)

@@ -79,7 +79,8 @@ def log_losses(form, pose, center, anchor):
 
 
 @compiled
-def _missed(table, u):
+def missed_at(table, u):
+    """1 − p_d(u)."""
     place = abs(u) / table.step
     last = table.missed.shape[0] - 1
     if place >= last:
@@ -168,7 +169,7 @@ def undetected(table, mean, variance, out):
     width = math.sqrt(variance)
     for i in range(7):
         u = abs(mean + _NODES[i] * width)
-        w = _WEIGHTS[i] * _missed(table, u)
+        w = _WEIGHTS[i] * missed_at(table, u)
         total += w
         first += w * u
         second += w * u * u

@@ -26,7 +26,8 @@ class Map(NamedTuple):
     form : (R,) int; weight : (R,) P(exists, type)
     hidden : (R,) probability that an obstacle or the end of its surface hides the feature, given that it exists
     seen : (R,) detections so far, an average over associations
-    reference : (R, 2) mean and variance of the amplitude times the root of the spreading loss
+    reference : (R, 3) mean and variance of the amplitude times the root of the spreading loss, and the mean as it was when
+        last detected: misses pull the first down, which would explain why a feature is not seen, and not whether it should be
     center : (R, 3) m; gain : (3R, d), G; spread : (3R, 3R) m², C
     """
 
@@ -158,6 +159,6 @@ def uncertain(dynamics: Dynamics, mean: np.ndarray, covariance: np.ndarray) -> n
 def empty_map(anchor: np.ndarray, size: int, sight: np.ndarray) -> Map:
     """Only the line of sight; sight (3,) is its existence and the mean and variance of its reference."""
     return Map(
-        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), np.zeros(1), np.zeros(1), sight[None, 1:].copy(),
+        np.array([-1]), np.array([0, 1]), np.array([int(Form.LOS)]), sight[:1].copy(), np.zeros(1), np.zeros(1), sight[None, [1, 2, 1]].copy(),
         np.array(anchor, float)[None], np.zeros((3, size)), np.zeros((3, 3)),
     )  # fmt: skip

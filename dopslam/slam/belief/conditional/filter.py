@@ -45,7 +45,8 @@ class Conditional:
     pair_gate : squared Mahalanobis distance beyond which a measurement cannot be a feature's
     gate : associations less likely than this are left out of the updates
     hide, unhide : probabilities per step that a feature is hidden by something, and that it comes back
-    double : likelihood of a miss of a feature beside a detection in its resolution cell, over that of none
+    double : likelihood of a miss of a feature that should be seen beside a detection in its resolution cell, over that of
+        none
     correlation : False drops it after every step, everything else equal: the control experiment of what keeping it is worth
     prune_type : types below this share of a feature's existence are dropped
     """
@@ -256,7 +257,7 @@ class Conditional:
         labels = belief.next_label + np.arange(int(fine.sum()))
         chart = chart.joined(
             labels, counts[fine], forms, existence[m] * share[m, t],
-            np.column_stack([z * np.sqrt(loss), noise * loss]), x[m, t], gain[m, t], spread[m, t],
+            np.column_stack([z * np.sqrt(loss), noise * loss, z * np.sqrt(loss)]), x[m, t], gain[m, t], spread[m, t],
         )  # fmt: skip
         return replace(belief, map=chart, next_label=belief.next_label + len(labels))
 

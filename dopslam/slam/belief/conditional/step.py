@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dopslam.compute.compiled import compiled
 from dopslam.compute.linalg import factorize, solve_lower
 from dopslam.slam.association.loopy import associate
-from dopslam.slam.belief.conditional.amplitude import AmplitudeTable, amplitude_messages, log_loss
+from dopslam.slam.belief.conditional.amplitude import AmplitudeTable, amplitude_messages, log_loss, missed_at
 from dopslam.slam.belief.conditional.belief import Map
 from dopslam.slam.belief.conditional.course import advance, place
 from dopslam.slam.belief.conditional.update import linearized_rows, pair_densities, sequential_update
@@ -238,9 +238,11 @@ def update(
         mean[j] = whole[active[j]]
     by_agent, by_feature = linearized_rows(chart.form, chart.center, pose, by_coordinate, choices.anchor, rows)
     u, variance, hidden, seen_missed = np.empty(total), np.empty(total), np.empty(total), np.empty(total)
+    losses = np.empty(total)
     center = chart.center
     for r in range(total):
         loss = log_loss(chart.form[r], pose, center[r, 0], center[r, 1], center[r, 2], choices.anchor)
+        losses[r] = loss
         u[r] = chart.reference[r, 0] * math.exp(-0.5 * loss)
         variance[r] = chart.reference[r, 1] * math.exp(-loss) + (choices.amplitude_walk * u[r]) ** 2
         # The line of sight has a chain of its own; what was hardly ever seen is no feature that something hides.
@@ -262,13 +264,15 @@ def update(
         chart.form, mean, covariance, chart.center, chart.gain, chart.spread, pose, by_agent, by_feature, choices.anchor, rows,
         scale, choices.pair_gate, snr,
     )  # fmt: skip
-    # Nothing hides a feature and not what is seen within its resolution cell: of two of one path one is left.
+    # Nothing hides a feature and not what is seen within its resolution cell: of two of one path one is left. What is too
+    # weak to be seen from here is not hidden.
     for r in range(1, total):
         near = False
         for m in range(count):
             near = near or cell[r, m]
         if near:
-            log_amplitude[r, 0] += math.log(choices.double)
+            expected = 1.0 - missed_at(choices.table, chart.reference[r, 2] * math.exp(-0.5 * losses[r]))
+            log_amplitude[r, 0] += math.log(1.0 - (1.0 - choices.double) * expected)
     missed, detected, xi, born = _evidence(chart, log_density, log_amplitude, log_false, log_birth)
     log_nu, _, marginal, new, _, _ = associate(missed, detected, xi, 1e-6, 1000)
     log_pair, log_missed = np.full((total, count), -np.inf), np.empty(total)
@@ -301,7 +305,7 @@ def update(
         place(course, after, active, pose, by_coordinate)
     _, narrow, center, gain, spread, share, before_mean, before_center, before_gain, before_spread, _ = updated
     place(course, after, active, pose, by_coordinate)
-    weight, seen, reference = np.zeros(total), np.empty(total), np.empty((total, 2))
+    weight, seen, reference = np.zeros(total), np.empty(total), np.empty((total, 3))
     for r in range(total):
         for c in range(count + 1):
             weight[r] += share[r, c]
@@ -318,6 +322,9 @@ def update(
         else:
             first, second = amplitudes[r, 0, 0], amplitudes[r, 0, 1]
         reference[r, 0], reference[r, 1] = first * math.exp(0.5 * loss), second * math.exp(loss)
+        reference[r, 2] = gone * chart.reference[r, 2]
+        for c in range(1, count + 1):
+            reference[r, 2] += share[r, c] / max(weight[r], 1e-300) * amplitudes[r, c, 0] * math.exp(0.5 * loss)
     posterior = Map(chart.label, chart.first, chart.form, weight, hidden, seen, reference, center, gain, spread)
     exact = (
         linearized_start, linearized_point, before_mean, before_center, before_gain, before_spread, by_feature, scale, log_pair,
@@ -347,14 +354,14 @@ def pruned(chart, feature_threshold, type_share):
             features += 1
             ends[features] = kept
     form, weight, hidden, seen = np.empty(kept, dtype=np.int64), np.empty(kept), np.empty(kept), np.empty(kept)
-    reference, center = np.empty((kept, 2)), np.empty((kept, 3))
+    reference, center = np.empty((kept, 3)), np.empty((kept, 3))
     size = chart.gain.shape[1]
     gain, spread = np.empty((3 * kept, size)), np.empty((3 * kept, 3 * kept))
     for i in range(kept):
         r = rows[i]
         form[i], weight[i], hidden[i], seen[i] = chart.form[r], chart.weight[r], chart.hidden[r], chart.seen[r]
-        reference[i, 0], reference[i, 1] = chart.reference[r, 0], chart.reference[r, 1]
         for a in range(3):
+            reference[i, a] = chart.reference[r, a]
             center[i, a] = chart.center[r, a]
             for j in range(size):
                 gain[3 * i + a, j] = chart.gain[3 * r + a, j]
