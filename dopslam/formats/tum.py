@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.datasets.parts import Part
-from dopslam.store import file as dataset
+from dopslam.formats.mapped import runs_of
 
 
 class Tum:
@@ -18,24 +18,25 @@ class Tum:
 
     def write(self, parts: list[Part], out: Path) -> None:
         """``drive-00000.tum``: time x y z qx qy qz qw of every true drive; ``slam_….tum`` of every filter history in a
-        file."""
+        file.
+
+        Raises
+        ------
+        DatasetError
+            If there is neither.
+        """
         handles: dict[int, Path] = {}
-        for part in parts:
+        for part in (part for part in parts if part.has("track")):
             track, steps = part.track, part.steps
             for drive in np.unique(steps.drive).tolist():
                 rows = np.flatnonzero(steps.drive == drive)
                 path = handles.setdefault(drive, out / f"drive-{drive:05d}.tum")
                 with open(path, "a", encoding="ascii") as file:
                     file.writelines(_pose_lines(track.time[rows], track.position[rows], track.heading[rows]))
-            from dopslam.slam.history import History
-
-            for group in dataset.groups(part.path):
-                if group.startswith("slam_"):
-                    mean = dataset.read_record(part.path, group, History).mean
-                    position = np.column_stack([mean[:, :2], track.position[:, 2]])
-                    (out / f"{group}.tum").write_text(
-                        "".join(_pose_lines(track.time, position, mean[:, 2])), encoding="ascii"
-                    )
+        if not handles or any(group.startswith("slam_") for part in parts for group in part.groups):
+            for run in runs_of(parts):
+                lines = _pose_lines(run.time, run.position, run.history.mean[:, 2])
+                (out / f"{run.name}.tum").write_text("".join(lines), encoding="ascii")
 
 
 def _pose_lines(time: np.ndarray, position: np.ndarray, heading: np.ndarray) -> Iterator[str]:

@@ -184,7 +184,10 @@ EARLIER: dict[tuple[str, str], tuple[str, Callable[[np.ndarray], Any]]] = {
 def remedy(path, group: str, have: set[str]) -> str:
     """What makes a group that is not there, given those that are."""
     if group in ("track", "landmarks") and "detections" in have:
-        return "bring the true track along: dopslam import TABLE … --track TRACK.csv"
+        return (
+            "bring the true track along: dopslam import TABLE … --track TRACK.csv; what was found without it: "
+            f"dopslam export {path} --to csv --out FOLDER, or tum, geojson, mcap"
+        )
     if group == "detections" and have & {"paths", "signal"}:
         return f"run 'dopslam estimate {path}' first"
     if group == "detections":

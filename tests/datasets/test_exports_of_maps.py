@@ -140,3 +140,24 @@ def test_a_file_without_a_map_says_how_to_make_one(tmp_path):
     with pytest.raises(DatasetError, match="--origin goes with"):
         export(path, tmp_path / "o", "tum", origin=Origin(0, 0))
     assert not (tmp_path / "o").exists()
+
+
+def test_what_was_found_without_a_truth_goes_out_as_tables_and_trajectories(run, tmp_path):
+    history, series = dataset.read_record(run, "slam_joint", History), stages.read_detections(run)
+    path = tmp_path / "own.h5"
+    dataset.write_records(path, {"detections": series, "slam_joint": history}, dataset.read_root(run)[0], 0)
+    export(path, tmp_path / "csv", "csv")
+    track = np.genfromtxt(tmp_path / "csv" / "slam_joint.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(np.column_stack([track[n] for n in ("x", "y", "heading", "bias")]), history.mean[:, :4])
+    np.testing.assert_allclose(track["cov_y_heading"], history.covariance[:, 1, 2])
+    np.testing.assert_allclose(track["time"], series.time)
+    found = np.genfromtxt(tmp_path / "csv" / "slam_joint_map.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    anchors = history.reported(history.steps - 1, Kind.VA)
+    np.testing.assert_allclose([[r["x"], r["y"], r["z"]] for r in found if r["kind"] == "VA"], anchors)
+    (poses,) = export(path, tmp_path / "tum", "tum")
+    np.testing.assert_allclose(np.loadtxt(poses)[:, 1:3], history.mean[:, :2], atol=1e-8)
+    bare = tmp_path / "bare.h5"
+    dataset.write_records(bare, {"detections": series}, dataset.read_root(run)[0], 0)
+    for form in ("csv", "tum"):
+        with pytest.raises(DatasetError, match=r"run 'dopslam slam"):
+            export(bare, tmp_path / "none", form)
