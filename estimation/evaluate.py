@@ -130,7 +130,9 @@ class Summary:
     rmse_interval : (6, 2)
     nees_over_n : mean own-covariance NEES over the number of parameters
     nees_interval : (2,)
+    nees_per_parameter : (6,) mean squared error of each parameter over its own variance
     associations : number of associations pooled
+    gross : number of those with an error beyond six times its bound in some parameter
     false_per_snapshot : mean
     snapshots : number
     """

@@ -2,13 +2,16 @@
 
 import os
 import stat
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from dopslam.errors import DatasetError
-from dopslam.records import DetectionSeries, Landmarks, Paths, Track, same
+from dopslam.evaluate.bounds import Bound
+from dopslam.records import DetectionSeries, FloorPlan, Kind, Landmarks, Paths, Track, same
+from dopslam.slam.history import History
 from dopslam.store import columns
 from dopslam.store import file as dataset
 
@@ -227,3 +230,32 @@ def test_a_file_that_reads_from_other_files_is_refused(tmp_path, external):
             group.create_dataset("time", shape=(4,), dtype="f8", external=[(str(tmp_path / "raw"), 0, 32)])
     with pytest.raises(DatasetError, match="copy its content"):
         dataset.read_record(path, "track", Track)
+
+
+VERSION_1 = Path(__file__).parent / "data"
+"""Files that this program wrote before schema 2 (commit dc2970d): three steps simulated, with history and bound; traced."""
+
+
+def test_files_of_version_1_are_read(tmp_path, call):
+    """Every record of a real one, with what was not in it filled in; it can be worked on, and is no faulty file."""
+    simulated = tmp_path / "simulated.h5"
+    simulated.write_bytes((VERSION_1 / "version_1.h5").read_bytes())
+    with h5py.File(simulated) as file:
+        assert file.attrs["schema_version"] == 1
+        before, detected = file["slam_joint/va_probability"][:], file["detections/delay"][:]
+    found = dataset.read_record(simulated, "detections", DetectionSeries)
+    np.testing.assert_array_equal(found.delay, detected)
+    assert found.steps == 3 and not found.anchor.any() and not found.flags.any()
+    history = dataset.read_record(simulated, "slam_joint", History)
+    np.testing.assert_array_equal(history.type_probability[:, Kind.VA], before)
+    np.testing.assert_allclose(history.type_probability.sum(axis=1), 1.0)
+    assert dataset.read_record(simulated, "bound_doppler", Bound).covariance.shape == (3, 4, 4)
+    assert call("check", simulated) == 0
+    assert call("bound", simulated) == 0  # writes into it: a file of both versions is read too
+    assert call("evaluate", simulated) == 0 and call("check", simulated) == 0
+    np.testing.assert_array_equal(dataset.read_record(simulated, "slam_joint", History).mean, history.mean)
+
+    traced = VERSION_1 / "version_1_traced.h5"
+    paths = dataset.read_record(traced, "paths", Paths)
+    assert len(paths.tau) == 27 and not paths.anchor.any()
+    assert len(dataset.read_record(traced, "plan", FloorPlan).name) == 4 and call("check", traced) == 0

@@ -13,6 +13,7 @@ def sentence(error: Exception) -> str:
 EARLIER = {
     ("run", "--runs"): "--out",
     ("import", "--scenario"): "--scene",
+    ("import", "--from"): "--format",
     ("new", "--name"): "--out",
     ("export", "--source"): "--dataset",
 }

@@ -22,7 +22,7 @@ from dopslam.records import SPEED_OF_LIGHT, BaseStations, DetectionSeries, Floor
 from dopslam.records.consistency import misfits
 from dopslam.slam.history import History
 from dopslam.store import file as dataset
-from dopslam.store.schema import unit_of
+from dopslam.store.schema import UNSAID, unit_of
 
 RECORDS = (Track, Steps, Landmarks, BaseStations, Paths, DetectionSeries, History, Bound, FloorPlan, Mesh, Walls)
 TYPES = {kind.__name__: kind for kind in RECORDS}
@@ -98,7 +98,7 @@ def _file(path: Path, hashed: bool = False) -> Iterator[Finding]:
         return
     for group, name, _, _, stated in shapes:
         right = unit_of(kinds[group], name)
-        if stated not in ("", right):
+        if stated not in ("", UNSAID, right):
             yield Finding(f"{path.name}:{group}/{name}", f"is said to be in {stated!r}; this program reads {right!r}")
     records = {}
     for group in names:

@@ -35,8 +35,7 @@ class Steps:
     index : (K,) number of the position in the whole dataset
     drive : (K,) number of the drive
     step : (K,) step within the drive
-    start : (K, 4) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before its drive's
-    first step
+    start : (K, 4) [x m, y m, heading rad, bias m], mean of what the receiver knows one period before its drive's first step
     """
 
     index: np.ndarray

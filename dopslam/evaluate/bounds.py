@@ -147,6 +147,7 @@ def pcrb(
     covariance : (K, L, 6, 6) array; R of every step and landmark (anything invertible where not detected)
     detected : (K, L) array; detection mask, or weights in [0, 1]
     bs : (3,) array
+    height : m, of the receiver's plane
     doppler : bool; False drops the Doppler row
     smoothed : bool; bound every step by the detections of the whole run instead of those up to it
     pace : (K,) array; time since the step before, in periods of the motion model; default 1

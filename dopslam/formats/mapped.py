@@ -30,6 +30,7 @@ class Mapped:
     base_station : (3,) m; yaw : rad
     walls : of the final map
     last : rows of the history that the final map reports
+    period : s, between two steps
     """
 
     name: str

@@ -78,8 +78,7 @@ def isometry(normals: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.n
     """
     matrix, translation = np.eye(3), np.zeros(3)
     for normal, offset in zip(np.asarray(normals, dtype=float), np.asarray(offsets, dtype=float), strict=True):
-        householder = np.eye(3) - 2.0 * np.outer(normal, normal)
-        matrix, translation = householder @ matrix, householder @ translation + 2.0 * offset * normal
+        matrix, translation = mirror(matrix.T, normal).T, mirror(translation, normal, offset)
     return matrix, translation
 
 
@@ -126,7 +125,7 @@ def reflected_paths(
     # this keeps full precision where the source stands close to a wall.
     departure = -arrival
     for i in reversed(range(depth)):
-        departure = departure - 2.0 * np.sum(departure * normals[:, i], axis=-1)[:, None] * normals[:, i]
+        departure = mirror(departure, normals[:, i])
     return PathGeometry(length, departure, arrival, vertices)
 
 

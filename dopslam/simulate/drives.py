@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dopslam.models.measurement import BS, SP, VA
-from dopslam.models.paths import spreading_loss
+from dopslam.models.paths import mirror, spreading_loss
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def surroundings(kind: Kind, places: Array, height: float, rng: np.random.Genera
         angle = rng.uniform(-np.pi, np.pi)
         normal = np.array([np.cos(angle), np.sin(angle), 0.0])
         beyond = max((places @ normal[:2]).max(), bs @ normal) + rng.uniform(2.0, 0.5 * kind.extent)
-        position.append(bs + 2 * (beyond - bs @ normal) * normal)
+        position.append(mirror(bs, normal, beyond))
     for _ in range(objects):
         position.append(np.array([*(middle + rng.uniform(-1, 1, 2) * kind.extent), rng.uniform(*kind.objects)]))
     what = np.array([BS] + walls * [VA] + objects * [SP])

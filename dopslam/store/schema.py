@@ -20,6 +20,7 @@ import numpy as np
 SCHEMA = "dopslam"
 VERSION = 2
 READ = (1, VERSION)  # versions this program reads
+UNSAID = "1"  # what version 1 wrote where it did not know the unit
 
 UNITS: dict[Any, str] = {
     "time": "s", "position": "m", "heading": "rad", "velocity": "m/s", "bias": "m", "start": "m, m, rad, m",

@@ -20,7 +20,7 @@ class Style:
     furniture, furniture_height, furniture_half : names; m; m, half the edges
     furniture_material, wall, floor, ceiling : ITU types to choose from
     along : whether things stand along the walls only
-    station_height : range below the ceiling [m]
+    station_below : range below the ceiling [m]
     clearance : m, of the walk from walls and furniture
     depth_two : probability of two reflections
     points : names of small objects

@@ -78,8 +78,7 @@ class Scan(NamedTuple):
     z : (M, m) array
     covariance : (M, m, m) array
     log_snr : (M,) array; natural log of ρ, zeros where unknown, -∞ where a measurement is passed over (`splinters`)
-    first : int; number of the first measurement in the whole run; a track is named by the measurement that
-    bore it
+    first : int; number of the first measurement in the whole run; a track is named by the measurement that bore it
     clutter : float; clutter intensity c(z)
     pace : float; time since the scan before, in periods of the motion model
     """

@@ -60,8 +60,8 @@ class Info(NamedTuple):
     ----------
     weight : (g,) array; normalized weights of the γ best associations
     track : (g, M) int array; track number of each measurement, -1 for the BS, -2 for new or clutter
-    existence : (M,) array; predicted existence of the track that the likeliest association gives each
-    measurement nis : float; νᵀS⁻¹ν of the likeliest association
+    existence : (M,) array; predicted existence of the track that the likeliest association gives each measurement
+    nis : float; νᵀS⁻¹ν of the likeliest association
     rows : int; its degrees of freedom
     """
 
