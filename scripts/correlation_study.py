@@ -5,6 +5,7 @@ dropped, and paper B's form.
 python scripts/correlation_study.py --runs 20
 python scripts/correlation_study.py --runs 100 --cases aod paper --variants kept particles --out results/pedestrian
 python scripts/correlation_study.py --scene ring_road --seeds 1000 1020 --out results/ring_road
+python scripts/correlation_study.py --scene ring_road --seeds 1000 1040 --variants joint --fit --out results/ring_road
 python scripts/correlation_study.py --scene ring_road --seeds 1000 1020 --noise estimator paper \\
     --variants particles kept joint --repeats 15 --out results/ring_road
 """
@@ -21,6 +22,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 from dopslam.cli.common import progress_display, worker_count  # noqa: E402
 from dopslam.config.scenario import load  # noqa: E402
 from dopslam.report.folder import write_json  # noqa: E402
+from dopslam.studies import known  # noqa: E402
 from dopslam.studies.bp_cases import CASES  # noqa: E402
 from dopslam.studies.correlation import COMPARED, VARIANTS, floating_map, synthetic, traced  # noqa: E402
 from dopslam.studies.traced import NOISES  # noqa: E402
@@ -36,6 +38,9 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=["aod"], help="of the pedestrian experiment")
     parser.add_argument("--variants", nargs="+", choices=COMPARED, default=list(VARIANTS))
     parser.add_argument("--repeats", type=int, default=1, help="of the first seed's runs, for the time of a step")
+    parser.add_argument(
+        "--fit", action="store_true", help="the whole run by least squares with the true association as well"
+    )
     parser.add_argument("--out", type=Path, default=Path("results/correlation"))
     parser.add_argument("--jobs", type=int)
     options = parser.parse_args()
@@ -82,6 +87,16 @@ def scene(options: argparse.Namespace) -> dict:
                 f"NEES {nees['mean']:.1f} ({nees['low']:.1f}-{nees['high']:.1f}) of 4  {figures['found']} of {figures['of']} "
                 f"landmarks, {figures['second_found']} of {figures['second_of']} second reflections, {figures['false']} false  "
                 f"{figures['ms_per_step']:.2f} ms a step",
+                flush=True,
+            )
+        if options.fit:
+            result[f"fit, {noise}"] = found = known.traced(scenario, seeds, options.out, noise)
+            print(
+                f"{options.scene} {noise:9} known        NEES {found['nees']['mean']:.2f} ({found['nees']['low']:.2f}-"
+                f"{found['nees']['high']:.2f}) of 4, cost per degree of freedom {found['cost_per_freedom']['mean']:.3f} "
+                f"({found['cost_per_freedom']['low']:.3f}-{found['cost_per_freedom']['high']:.3f}), median "
+                f"{found['cost_per_freedom_median']:.3f}; detections' NEES per row {found['detection_nees']:.3f}, without the "
+                f"largest hundredth {found['detection_nees_trimmed']:.3f}, the largest {found['largest']:.0f}",
                 flush=True,
             )
     return result
