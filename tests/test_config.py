@@ -110,6 +110,7 @@ def test_every_number_has_a_range_and_every_list_an_end():
     [
         ("dataset.tracks={kind='line',ends=[[0,0],[1,nan]]}", ["dataset.tracks.ends.1.1 = nan"]),
         ("dataset.tracks={kind='file'}", ["'dataset.tracks.file' is missing"]),
+        ("radio.carrier=60e9", ["did you mean 'carrier_frequency'?"]),
         ("dataset.tracks={kind='drive',polygon=[[0,0],[1,0],[1,1]],speed=[3,1]}", ["speed = [3.0, 1.0]"]),
         ("dataset.steps=99999999", ["dataset.steps = 99999999"]),
         ("trace.samples=1000000000", ["trace.samples"]),
@@ -127,6 +128,11 @@ def test_a_value_out_of_its_range_is_named_by_the_key_that_was_written(setting, 
     for word in words:
         assert word in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+def test_all_keys_that_are_missing_are_named():
+    with pytest.raises(ConfigError, match=r"keys .*name, .*base_station.* are missing"):
+        parse("[track]\nspeed = 1\n")
 
 
 def test_every_key_is_listed_with_its_range(call, capsys):

@@ -127,3 +127,29 @@ def test_the_start_of_a_drive_may_be_off_by_what_is_known_of_it_and_says_the_clo
     text = 'scene.generator = "street"\n[track]\nwaypoints = [[0, 0, 0], [9, 0, 3], [20, 0, 9]]\nstart = [0.4, -0.3, 0.01, 55]\n'
     assert parse(text).track.start == (0.4, -0.3, 0.01, 55)
     assert override(parse(text), ["trace.max_depth=1"]).track.start == (0.4, -0.3, 0.01, 55)
+
+
+def test_headings_in_degrees_are_refused_and_others_are_not(tmp_path):
+    from dopslam.config.trackfile import read_rows
+
+    rng = np.random.default_rng(0)
+    for turn, sideways in ((0.3, 0.0), (-0.2, 0.0), (0.25, np.pi / 2)):
+        angle = rng.uniform(-np.pi, np.pi) + turn * np.arange(40)
+        place = np.cumsum(np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)
+        path = tmp_path / "t.csv"
+        for scale, refused in ((1.0, False), (180 / np.pi, not sideways)):
+            table = np.column_stack([np.arange(40), place, scale * (angle + sideways)])
+            np.savetxt(path, table, delimiter=",", header="time,x,y,heading", comments="")
+            if refused:
+                with pytest.raises(ConfigError, match="as degrees, and not as radians"):
+                    read_rows(path, "track.file")
+            else:
+                np.testing.assert_allclose(read_rows(path, "track.file")["heading"], table[:, 3])
+
+
+def test_a_track_may_have_semicolons_and_decimal_commas(tmp_path):
+    from dopslam.config.trackfile import read_rows
+
+    (tmp_path / "t.csv").write_bytes("time;x;y\r\n0,5;1,25;2\r\n1,0;1,5;2,5\r\n".encode("utf-16"))
+    rows = read_rows(tmp_path / "t.csv", "track.file")
+    assert rows["x"].tolist() == [1.25, 1.5] and rows["time"].tolist() == [0.5, 1.0]

@@ -51,10 +51,14 @@ def sentence(error: ValidationError, root: type[BaseModel]) -> str:
     key = ".".join(names)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(names[-1], allowed, n=1, cutoff=0.5)
+        begun = [name for name in allowed if len(names[-1]) > 3 and name.startswith(names[-1])]  # carrier(_frequency)
+        near = begun or difflib.get_close_matches(names[-1], allowed, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(allowed)}"
         return f"unknown key {shown(key)}; {hint}{more}"
     if first["type"] == "missing":
+        gone = [".".join(_walk(root, tuple(e["loc"]))[0]) for e in error.errors() if e["type"] == "missing"]
+        if len(gone) > 1:
+            return f"keys {', '.join(gone)} are missing"
         return f"key {key!r} is missing{more}"
     message = first["msg"].removeprefix("Value error, ")
     return f"{key} = {shown(first['input'])}: {message}{more}" if key else f"{message}{more}"

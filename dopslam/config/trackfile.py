@@ -22,6 +22,11 @@ COLUMNS = ("time", "x", "y", "z", "heading", "vx", "vy", "vz", "bias", "drive")
 STANDING = 1e-3  # m/s; slower than this a receiver has no course
 TUM = (".tum", ".txt")
 MOST_STEPS = 100_000
+LEAST_WAY = 5  # differences of places from which a course is told
+FOLLOWED, ASTRAY = (
+    0.03,
+    0.25,
+)  # mean sin² between heading and course, below and above which one follows the other or does not
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,27 @@ def read_rows(path: Path, called: str) -> dict[str, np.ndarray]:
         raise ConfigError(
             f"{path}: data row {int(np.argmax(large.any(axis=1))) + 1} holds a number beyond 1e9; check its unit"
         )
+    if not turned and "heading" in rows:
+        _refuse_degrees(path, rows)
     return rows
+
+
+def _refuse_degrees(path: Path, rows: dict[str, np.ndarray]) -> None:
+    """Refuse headings in degrees: the way that was driven follows them as degrees, and as radians it does not."""
+    way = np.diff(np.column_stack([rows["x"], rows["y"]]), axis=0)
+    far = np.hypot(*way.T) > 1e-6
+    if far.sum() < LEAST_WAY:
+        return
+    course, heading = np.arctan2(way[far, 1], way[far, 0]), 0.5 * (rows["heading"][1:] + rows["heading"][:-1])[far]
+
+    def off(angle: np.ndarray) -> float:
+        """How well headings explain the course, forwards or backwards: 0 if they do, about 0.5 if they are anything."""
+        return float(np.mean(np.sin(course - angle) ** 2))
+
+    if off(np.deg2rad(heading)) < FOLLOWED < ASTRAY < off(heading):
+        raise ConfigError(
+            f"{path}: the headings fit the way as degrees, and not as radians; give radians (multiply by pi/180)"
+        )
 
 
 def rising(path: Path | str, time: np.ndarray) -> None:

@@ -54,6 +54,24 @@ def test_a_floor_plan_gets_walls_blocks_floor_and_ceiling(tmp_path):
     assert np.allclose(turns, [1, 0, 0], atol=1e-9)
 
 
+def test_a_block_around_a_court_in_meters_is_a_building_and_no_room(tmp_path):
+    court = feature("Polygon", [square(0, 0, 50), square(10, 10, 30)], name="court", height="12 m")
+    levels = feature("Polygon", [square(60, 0, 10)], **{"building:levels": "4"})
+    shapes = {shape.name: shape for shape in read_plan(geojson(tmp_path / "c.geojson", court, levels))}
+    assert set(shapes) == {"court", "block_2", "ground"}
+    assert np.ptp(shapes["court"].vertices[:, 2]) == np.ptp(shapes["block_2"].vertices[:, 2]) == 12.0
+
+
+def test_a_ceiling_lies_on_the_walls(tmp_path):
+    hall = feature("Polygon", [square(0, 0, 40)], name="hall", height=8)
+    box = feature("Polygon", [square(5, 5, 3)], name="rack", height=6)
+    shapes = {shape.name: shape for shape in read_plan(geojson(tmp_path / "h.geojson", hall, box))}
+    assert shapes["ceiling"].center[2] == 8.0 and np.allclose(shapes["hall_1"].matrix @ [0, 1, 0, 1], [20, 0, 8, 1])
+    lines = feature("LineString", [[0, 0], [20, 0], [20, 9]], name="wall", height=4.5)
+    shapes = {shape.name: shape for shape in read_plan(geojson(tmp_path / "l.geojson", lines))}
+    assert shapes["ceiling"].center[2] == 4.5
+
+
 def test_a_map_in_degrees_is_turned_into_meters(tmp_path):
     degree = np.rad2deg(1 / EARTH)
     north, east = 48.0, 11.0
@@ -115,6 +133,7 @@ def test_a_model_keeps_its_objects_and_says_their_material(tmp_path):
         ("a.geojson", '{"type":"FeatureCollection","features":[]}', "holds no LineString"),
         ("a.geojson", json.dumps(feature("LineString", [[0, "x"], [1, 2]])), "feature 1"),
         ("a.geojson", json.dumps(feature("LineString", [[0, 0], [5, 0]], height=-1)), "height"),
+        ("a.geojson", json.dumps(feature("LineString", [[0, 0], [5, 0]], height="40 ft")), "give a number above 0"),
         ("a.osm", "<osm/>", "no building"),
         ("a.osm", "<osm", "OpenStreetMap"),
         ("a.png", "no picture", "picture"),

@@ -1,6 +1,6 @@
 """GeoJSON: floor plans in meters, maps in degrees.
 
-Lines are walls, areas are blocks (or, where one encloses all the others, the outline of a room); ``height`` [m],
+Lines are walls, areas are blocks (or, where one encloses all the others, the outline of a room); ``height`` [m], or ``building:levels``,
 ``material`` (ITU type) and ``name`` of a feature's properties are used. Coordinates that span less than 0.2 are taken for
 degrees of longitude and latitude: no plan is 20 cm wide, and no map 20 km.
 """
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dopslam.errors import ConfigError
-from dopslam.scenes.plans.raise_ import Feature
+from dopslam.scenes.plans.raise_ import HEIGHTS, Feature
 
 DEGREES = 0.2
 EARTH = 6_378_137.0  # m, equatorial radius of WGS 84
@@ -64,9 +64,8 @@ def _features(entry: dict, number: int) -> list[Feature]:
         "MultiPolygon": lambda: [(area, True) for area in coordinates],
     }.get(kind, list)()
     name = str(properties.get("name") or f"{'block' if 'Polygon' in kind else 'wall'}_{number}")
-    height = properties.get("height")
     common = {
-        "height": None if height is None else _positive(height),
+        "height": _height(properties),
         "material": properties.get("material"),
     }
     found = []
@@ -78,10 +77,21 @@ def _features(entry: dict, number: int) -> list[Feature]:
     return found
 
 
-def _positive(height) -> float:
-    if not 0 < float(height) < 1000:
-        raise ValueError(f"height {height!r}; give meters, above 0")
-    return float(height)
+def _height(properties: dict) -> float | None:
+    """Height in meters, as a number or as maps write it (``"15 m"``), or from the levels; None where nothing says it."""
+    for key, unit in HEIGHTS:
+        stated = properties.get(key)
+        text = str(stated if stated is not None else "").strip().removesuffix("m").strip()
+        if not text:
+            continue
+        try:
+            value = float(text) * unit
+        except ValueError:
+            value = 0.0
+        if not 0 < value < 1000:
+            raise ValueError(f"{key} {stated!r}; give a number above 0, heights in meters")
+        return value
+    return None
 
 
 def in_degrees(features: list[Feature]) -> bool:

@@ -9,9 +9,8 @@ import numpy as np
 
 from dopslam.errors import ConfigError
 from dopslam.scenes.plans.geojson import in_meters
-from dopslam.scenes.plans.raise_ import Feature
+from dopslam.scenes.plans.raise_ import HEIGHTS, Feature
 
-LEVEL = 3.0  # m
 MATERIALS = {
     "brick": "brick",
     "concrete": "concrete",
@@ -59,7 +58,7 @@ def read_osm(path: Path) -> list[Feature]:
 
 
 def _height(tags: dict) -> float | None:
-    for key, unit in (("height", 1.0), ("building:height", 1.0), ("building:levels", LEVEL)):
+    for key, unit in HEIGHTS:
         text = tags.get(key, "").removesuffix("m").strip()
         try:
             value = float(text) * unit

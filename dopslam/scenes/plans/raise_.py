@@ -17,6 +17,12 @@ from dopslam.scenes.generators.draft import Box, Mesh, Sheet
 
 LOWEST, SHORTEST = 0.01, 0.02  # m; edges shorter than this are slips of the drawing
 GROUND_BEYOND = 60.0  # m, of the ground around what is drawn
+HEIGHTS = (
+    ("height", 1.0),
+    ("building:height", 1.0),
+    ("building:levels", 3.0),
+)  # tags of maps, and their unit in meters
+STOREY = 5.0  # m; areas that are higher are buildings, not what stands in a room
 INDOOR = 90.0  # m, the largest extent of a plan that is taken for one of rooms where none of its areas encloses it
 
 
@@ -58,19 +64,25 @@ def shapes_of(features: list[Feature], usual: Usual, indoor: bool | None = None)
     Parameters
     ----------
     features : of one plan, in meters
-    indoor : whether it is a plan of rooms; None: by its size
+    indoor : whether it is a plan of rooms; None: by its size and by how high its areas are said to be
     """
     features = [f for f in map(_cleaned, features) if len(f.points) >= (3 if f.area else 2)]
     if not features:
         raise ConfigError("the plan holds no line and no area of any size; draw walls as lines or blocks as areas")
     corners = np.concatenate([f.points for f in features])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    indoor = bool((high - low).max() < INDOOR) if indoor is None else indoor
-    outline = _outline(features, low, high) if indoor else None
+    outline = _outline(features, low, high) if indoor is not False else None
+    if indoor is None:
+        buildings = outline is None and any(f.area and (f.height or 0.0) > STOREY for f in features)
+        indoor = bool((high - low).max() < INDOOR) and not buildings
+        outline = outline if indoor else None
     default = usual.height if indoor else usual.building_height
+    # A ceiling lies on the walls: on those of the outline if it says how high they are, else on the highest.
+    around = next((f.height for f in features if f.name == outline), None)
+    top = around or max([default, *(f.height for f in features if f.height)])
     shapes: list[Box | Sheet | Mesh] = []
     for feature in _named(features):
-        height = feature.height or default
+        height = feature.height or (top if feature.name == outline else default)
         material = feature.material or usual.wall
         if feature.area and (outline is None or feature.name != outline):
             shapes.append(block(feature, height, material))
@@ -81,7 +93,7 @@ def shapes_of(features: list[Feature], usual: Usual, indoor: bool | None = None)
     floor = Sheet("floor" if indoor else "ground", usual.floor, (*middle, 0.0), (half[0], 0, 0), (0, half[1], 0))
     shapes.append(floor)
     if indoor:
-        shapes.append(replace(floor, name="ceiling", material=usual.ceiling, center=(*middle, default)))
+        shapes.append(replace(floor, name="ceiling", material=usual.ceiling, center=(*middle, top)))
     return shapes
 
 
