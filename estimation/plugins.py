@@ -13,7 +13,8 @@ import importlib
 import importlib.metadata
 import importlib.util
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ class Table(Mapping[str, Any]):
         return self._own
 
     def _all(self) -> dict[str, str]:
-        announced = {point.name: point.value for point in importlib.metadata.entry_points(group=self._group)}
+        announced = _announced(self._group, tuple(sys.path), importlib.metadata.entry_points)
         return self._own | {name: where for name, where in announced.items() if name not in self._own}
 
     def __iter__(self) -> Iterator[str]:
@@ -96,6 +97,12 @@ class Table(Mapping[str, Any]):
         if not callable(found):
             raise self._error(f"{self._what} {name!r}: module {module!r} has no class {attribute!r}")
         return found
+
+
+@lru_cache
+def _announced(group: str, path: tuple[str, ...], entry_points: Callable[..., Any]) -> Mapping[str, str]:
+    """Entry points of a group, name → where; all metadata on the path are read for it, which takes many milliseconds."""
+    return {point.name: point.value for point in entry_points(group=group)}
 
 
 def _imported(module: str) -> Any:

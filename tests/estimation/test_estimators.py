@@ -122,6 +122,7 @@ def test_warm_start_agrees_and_forgets_what_is_gone(link, nomp):
     assert isinstance(warm, Detections) and warm.p_d(warm.snr[0]) > 0.99
 
 
+@pytest.mark.mc
 def test_dense_multipath_is_whitened(link):
     covariance = exponential_profile(link.waveform, 3.0, 20e-9, 20e-9)
     truth = replace(link, pilot_covariance=covariance)

@@ -70,6 +70,7 @@ def ghosts_of_swept_links(seeds) -> int:
     return total
 
 
+@pytest.mark.mc
 def test_beams_that_are_off_in_every_sweep_alike_make_no_ghosts(monkeypatch):
     """Their error is all at the path's speed, where it stands higher than over all symbols."""
     seeds = (3, 6)

@@ -31,6 +31,7 @@ def test_the_same_seed_draws_the_same_link():
     assert first.shape == second.shape and np.array_equal(first.schedule.times, second.schedule.times)
 
 
+@pytest.mark.mc
 def test_the_threshold_needs_no_noise_of_the_link():
     """Rice's volume times a fixed share: false paths in noise at the nominal rate, on links it was not measured on."""
     above, links = 0, 4
