@@ -8,6 +8,7 @@ import json
 import sys
 from pathlib import Path
 
+from dopslam.studies.challenge import detected
 from dopslam.studies.challenge.board import board
 
 HEAD = """# The board
@@ -24,7 +25,14 @@ def main() -> None:
     results = [json.loads(Path(path).read_text(encoding="utf-8")) for path in sys.argv[1:]]
     if not results:
         sys.exit("board: name result files of 'dopslam score ANSWER --json FILE'")
-    sys.stdout.write(HEAD + board(results))
+    tracks: dict[str, list[dict]] = {}
+    for result in results:
+        tracks.setdefault(result.get("track", "detections to map"), []).append(result)
+    pages = []
+    for track, found in sorted(tracks.items()):
+        page = detected.board(found) if track == detected.TRACK else board(found)
+        pages.append(f"## {track[0].upper()}{track[1:]}\n\n" + page.replace("## ", "### "))
+    sys.stdout.write(HEAD + "\n".join(pages))
 
 
 if __name__ == "__main__":

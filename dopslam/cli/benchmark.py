@@ -24,6 +24,7 @@ def make(
     seeds: int = 2,
     steps: int = 20,
     first: int | None = None,
+    signals: bool = False,
     jobs: int | None = None,
 ) -> None:
     """Make a suite: scenes x drives x noise levels, detections as files with checksums, the truth in a folder apart.
@@ -43,6 +44,9 @@ def make(
     first
         Seed of the first test scene. The default suite is the same for everyone, so that its truth can be remade by whoever
         has this program; a seed of your own, kept to yourself, makes a test half that nobody knows.
+    signals
+        The first drive through every scene with its received signal too, for estimators: about 25 MB a snapshot over the
+        five kinds, in either split.
     jobs
         Worker processes; default one per core.
     """
@@ -57,7 +61,7 @@ def make(
     seeds_of = FIRST_SCENE if first is None else {DEVELOP: FIRST_SCENE[DEVELOP], TEST: first}
     apart = out.with_name(f"{out.name}-truth") if truth is None else truth
     with _bars() as progress:
-        made = write(out, apart, plan(scenes, seeds, seeds_of), steps, worker_count(jobs), progress)
+        made = write(out, apart, plan(scenes, seeds, seeds_of), steps, worker_count(jobs), progress, signals)
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(made['cases'])} cases; truth in {apart}; next: dopslam benchmark run {out} --filter joint"
     )
@@ -68,10 +72,11 @@ def run(
     suite: Path,
     *,
     filters: Filters = None,
+    estimator: str | None = None,
     out: Path = Path("answers"),
     split: str | None = None,
 ) -> None:
-    """Run filters over the cases of a suite; leaves one answer (CSV) for each filter.
+    """Run filters or an estimator over the cases of a suite; leaves an answer (CSV) of each.
 
     Parameters
     ----------
@@ -79,8 +84,11 @@ def run(
         Folder made by 'dopslam benchmark make'.
     filters
         One or several, repeated or with commas, own ones as file.py:Class. Default joint.
+    estimator
+        Begin at the signals (a suite made with --signals): nomp, sage, … or one of your own as file.py:Class. Its detections are
+        an answer, and with --filter the maps that the filters make of them.
     out
-        Folder for <filter>.csv.
+        Folder for <filter>.csv, <estimator>.csv, <estimator>+<filter>.csv.
     split
         develop or test alone; default both.
     """
@@ -89,17 +97,32 @@ def run(
     from dopslam.report.folder import safe_name, write_text
     from dopslam.store.place import refuse_unwritable
     from dopslam.studies.challenge.filtered import answers
+    from dopslam.studies.challenge.signals import estimated
 
     refuse_unwritable(out / "joint.csv")
     console = Console(highlight=False, soft_wrap=True, markup=False)
+
+    def leave(name: str, text: str) -> None:
+        path = out / f"{safe_name(name)}.csv"
+        write_text(path, text)
+        console.print(f"written: {path}; next: dopslam score {path} --suite {suite}")
+
+    if estimator is not None:
+        with _bars() as progress:
+            text, maps, failed = estimated(suite, estimator, split, tuple(filter_names(filters)), progress)
+        for case, why in failed.items():
+            console.print(f"failed: {case}: {why}")
+        own = estimator.rpartition(":")[2]
+        leave(own, text)
+        for name, text in maps.items():
+            leave(f"{own}+{name.rpartition(':')[2]}", text)
+        return
     for name in filter_names(filters) or ["joint"]:
         with _bars() as progress:
             text, failed = answers(suite, name, split, progress)
-        path = out / f"{safe_name(name.rpartition(':')[2])}.csv"
-        write_text(path, text)
         for case, why in failed.items():
             console.print(f"failed: {case}: {why}")
-        console.print(f"written: {path}; next: dopslam score {path} --suite {suite}")
+        leave(name.rpartition(":")[2], text)
 
 
 def _bars():

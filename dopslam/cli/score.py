@@ -18,8 +18,8 @@ def score(
     Parameters
     ----------
     answer
-        Table (.csv; columns case, what, time_s, x_m, y_m, z_m, heading_rad, bias_m, cov_11 …, see docs/benchmark.md), dataset
-        file (.h5) of a case with one filter's history, or folder of such files.
+        Table (.csv; columns case, what, time_s, x_m, y_m, z_m, heading_rad, bias_m, cov_11 …; or of detections, case, step,
+        delay_s …; see docs/benchmark.md), dataset file (.h5) of a case with one filter's history, or folder of such files.
     suite
         Folder made by 'dopslam benchmark make'.
     truth
@@ -33,13 +33,15 @@ def score(
 
     from dopslam.report.folder import write_json
     from dopslam.store.place import refuse_no_file
-    from dopslam.studies.challenge.board import table
+    from dopslam.studies.challenge import board, detected
     from dopslam.studies.challenge.score import score as judge
 
     refuse_no_file(json)
-    result = judge(answer, suite, suite.with_name(f"{suite.name}-truth") if truth is None else truth, name)
+    apart = suite.with_name(f"{suite.name}-truth") if truth is None else truth
+    found = answer.suffix == ".csv" and detected.is_detections(answer)
+    result = (detected.score if found else judge)(answer, suite, apart, name)
     console = Console(markup=False)
-    console.print(table(result))
+    console.print((detected.table if found else board.table)(result))
     if json is not None:
         write_json(json, result)
         console.print(f"written: {json}", highlight=False, soft_wrap=True)

@@ -7,13 +7,13 @@ import io
 from pathlib import Path
 
 from dopslam.config.scenario import parse
-from dopslam.errors import DatasetError, DopslamError
+from dopslam.errors import DopslamError
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import DetectionSeries
 from dopslam.store import file as dataset
 from dopslam.studies.challenge.answer import header, of_history, to_rows
-from dopslam.studies.challenge.score import manifest_of, verify
+from dopslam.studies.challenge.score import chosen, verify
 
 
 def answers(suite: Path, name: str, split: str | None = None, progress: Progress = quiet) -> tuple[str, dict[str, str]]:
@@ -25,12 +25,7 @@ def answers(suite: Path, name: str, split: str | None = None, progress: Progress
     name : of :data:`dopslam.filters.FILTERS`, or ``file.py:Class``
     split : the only one that is wanted
     """
-    everything = manifest_of(suite)["cases"]
-    cases = [c for c in everything if split in (None, c["split"])]
-    if not cases:
-        raise DatasetError(
-            f"{suite}: has no split {split!r}; it has {', '.join(sorted({c['split'] for c in everything}))}"
-        )
+    cases = chosen(suite, split)
     verify(suite, None, cases)
     out, failed = io.StringIO(), {}
     lines = csv.writer(out, lineterminator="\n")

@@ -22,17 +22,20 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
+from dopslam.config.scenario import Scenario
 from dopslam.errors import DatasetError
 from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.stages import Progress, quiet
-from dopslam.records import DetectionSeries
+from dopslam.records import DetectionSeries, Landmarks, Paths, Track
 from dopslam.report.folder import write_text
 from dopslam.store import file as dataset
 from dopslam.studies.challenge.cases import LEVELS, STEPS, Case, Drawn, at_level, drawn, scenario_of
 
 FORMAT = 1
 MANIFEST = "suite.json"
+SIGNAL = ".signal"  # ending of files with signals, and of the cases that begin at them
+SIGNALED = ("sharp", 0)  # level and drive that have one
 ANGLES = ("aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad", "aod_elevation_rad")
 QUANTITIES = ("delay_s", *ANGLES, "radial_velocity_m_s")
 PAIRS = [(i, j) for i in range(6) for j in range(i, 6)]
@@ -40,9 +43,16 @@ BOUNDS = {(False, True): "bound_doppler", (True, True): "bound_doppler_smoothed"
 
 
 def make(
-    out: Path, truth: Path, cases: Sequence[Case], steps: int = STEPS, jobs: int = 1, progress: Progress = quiet
+    out: Path,
+    truth: Path,
+    cases: Sequence[Case],
+    steps: int = STEPS,
+    jobs: int = 1,
+    progress: Progress = quiet,
+    signals: bool = False,
 ) -> dict:
-    """Make a suite in two new folders; returns the manifest.
+    """Make a suite in two new folders; returns the manifest. With ``signals`` the first drive through every scene has its
+    received signal too (:mod:`dopslam.studies.challenge.signals`).
 
     Raises
     ------
@@ -61,7 +71,7 @@ def make(
             for split in {c.split for c in cases} if part is parts[0] else {"."}:
                 (part / split).mkdir(parents=True, exist_ok=True)
         work = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-            delayed(_drive)(kind, scene, seed, split, steps, *parts) for kind, scene, seed, split in drives
+            delayed(_drive)(kind, scene, seed, split, steps, signals, *parts) for kind, scene, seed, split in drives
         )
         entries: list[dict] = []
         progress("cases", 0, len(drives))
@@ -85,7 +95,9 @@ def make(
     return manifest
 
 
-def _drive(kind: str, scene: int, seed: int, split: str, steps: int, out: Path, truth: Path) -> list[dict]:
+def _drive(
+    kind: str, scene: int, seed: int, split: str, steps: int, signals: bool, out: Path, truth: Path
+) -> list[dict]:
     """Both levels of one drive, which is traced once."""
     first = Case(kind, scene, seed, next(iter(LEVELS)), split)
     traced = pipeline.trace(scenario_of(first, steps), seed)
@@ -95,7 +107,34 @@ def _drive(kind: str, scene: int, seed: int, split: str, steps: int, out: Path, 
         case = at_level(first, level)
         found = drawn(case, scenario_of(case, steps), traced.track, traced.landmarks, traced.paths)
         entries.append(write_case(found, out / split, truth))
+        if signals and (level, seed) == SIGNALED:
+            hidden = traced.track, traced.landmarks, traced.paths
+            entries[-1]["signal"] = write_signal(case.name, split, found.scenario, seed, hidden, out / split, truth)
     return entries
+
+
+def write_signal(
+    name: str, split: str, told: Scenario, seed: int, hidden: tuple[Track, Landmarks, Paths], folder: Path, truth: Path
+) -> dict:
+    """Write signal and paths of a case; returns what its entry in the manifest says of them.
+
+    Parameters
+    ----------
+    name, split : of the case
+    told : the scenario as participants get it
+    seed : of the noise
+    hidden : track, landmarks and paths
+    folder, truth : of the split, and of the truth
+    """
+    track, landmarks, paths = hidden
+    path, kept = folder / f"{name}{SIGNAL}.h5", truth / f"{name}{SIGNAL}.h5"
+    dataset.write_records(path, {"base_stations": build.base_stations(told)}, told.to_toml(), 0)
+    dataset.write_signal(path, pipeline.synthesize(told, track, paths, seed), paths.steps)
+    dataset.write_records(kept, {"track": track, "landmarks": landmarks, "paths": paths}, told.to_toml(), seed)
+    return {
+        "files": {f"{split}/{path.name}": sha256(path)},
+        "truth": {kept.name: sha256(kept)},
+    }
 
 
 def write_case(found: Drawn, folder: Path, truth: Path) -> dict:

@@ -23,7 +23,7 @@ from dopslam.evaluate.walls import wall_figures, walls
 from dopslam.records import Kind, Landmarks, Track
 from dopslam.store import file as dataset
 from dopslam.studies.challenge.answer import Answer, read
-from dopslam.studies.challenge.make import FORMAT, MANIFEST, sha256
+from dopslam.studies.challenge.make import FORMAT, MANIFEST, SIGNAL, sha256
 from estimation import statistics
 
 LEAST = 3  # detections
@@ -56,6 +56,35 @@ def manifest_of(suite: Path) -> dict:
     return tree
 
 
+def chosen(suite: Path, split: str | None) -> list[dict]:
+    """The cases of a split, or of both.
+
+    Raises
+    ------
+    DatasetError
+        If the suite has no such split.
+    """
+    everything = manifest_of(suite)["cases"]
+    cases = [c for c in everything if split in (None, c["split"])]
+    if not cases:
+        raise DatasetError(
+            f"{suite}: has no split {split!r}; it has {', '.join(sorted({c['split'] for c in everything}))}"
+        )
+    return cases
+
+
+def _with_signals(cases: Sequence[dict]) -> list[dict]:
+    """The cases, and those that begin at the signal as cases of their own, with the truth of their sisters."""
+    return [
+        *cases,
+        *(
+            case | {"name": f"{case['name']}{SIGNAL}", "content": "", "truth": case["truth"] | case["signal"]["truth"]}
+            for case in cases
+            if "signal" in case
+        ),
+    ]
+
+
 def verify(suite: Path, truth: Path | None, cases: Sequence[dict]) -> None:
     """Refuse files that are missing or not those of the manifest; with ``truth`` the truth's, else the participant's."""
     for case in cases:
@@ -77,9 +106,13 @@ def score(answer: Path, suite: Path, truth: Path, name: str | None = None) -> di
     name : of the method; default that of the file
     """
     manifest = manifest_of(suite)
-    cases = manifest["cases"]
+    cases = _with_signals(manifest["cases"])
     answers = read(Path(answer), cases, Path(suite))
     answered = [case for case in cases if case["name"] in answers]
+    begun = {case["name"].endswith(SIGNAL) for case in answered}
+    if len(begun) > 1:
+        raise DatasetError(f"{answer}: mixes cases of detections and of signals (…{SIGNAL}); give one file for each")
+    cases = [case for case in cases if case["name"].endswith(SIGNAL) in begun or not begun]
     verify(suite, truth, answered)
     judged = {
         case["name"]: {"split": case["split"], "level": case["level"], "kind": case["kind"]}
@@ -89,6 +122,7 @@ def score(answer: Path, suite: Path, truth: Path, name: str | None = None) -> di
     splits = dict.fromkeys(case["split"] for case in cases)
     return {
         "method": name or Path(answer).stem,
+        "track": "signal to map" if begun == {True} else "detections to map",
         "suite_sha256": sha256(Path(suite) / MANIFEST),
         "splits": {
             split: _summary(
@@ -101,7 +135,7 @@ def score(answer: Path, suite: Path, truth: Path, name: str | None = None) -> di
 
 
 def _judged(path: Path, truth: Path, name: str, answer: Answer) -> dict:
-    file = truth / f"{name}.h5"
+    file = truth / f"{name.removesuffix(SIGNAL)}.h5"
     text, _ = dataset.read_root(file)
     scenario = parse(text, source=str(file))
     track, landmarks = dataset.read_record(file, "track", Track), dataset.read_record(file, "landmarks", Landmarks)
