@@ -124,3 +124,26 @@ def _imported(module: str) -> Any:
         del sys.modules[name]
         raise
     return loaded
+
+
+def of_the_house(thing: Any) -> bool:
+    """Whether an object, class or error comes from these packages, and not from a plug-in or from Python."""
+    return str(getattr(thing, "__module__", "")).partition(".")[0] in ("dopslam", "estimation")
+
+
+@contextlib.contextmanager
+def blamed(thing: Any, where: str, error: type[Exception]) -> Iterator[None]:
+    """What fails in a plug-in is a fault of the plug-in, and said to be.
+
+    Parameters
+    ----------
+    thing : the plug-in or its class; faults of what is of this house, and its errors, are let through
+    where : what it was doing, for the message
+    error : raised instead
+    """
+    try:
+        yield
+    except Exception as fault:
+        if of_the_house(thing) or of_the_house(fault):
+            raise
+        raise error(f"{where}: {type(fault).__name__}: {fault} (DOPSLAM_DEBUG=1 shows where)") from fault

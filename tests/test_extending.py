@@ -61,6 +61,33 @@ def test_a_foreign_reader_is_one_file(call, tmp_path, monkeypatch):
     assert (tmp_path / "b.h5").exists()
 
 
+ODD = """
+class Fails:
+    writes, reads = True, True
+    def write(self, parts, out): return {}["x"]
+    def read(self, path, mapping): return None
+
+class Empty(Fails):
+    def write(self, parts, out): pass
+
+class Unmade(Fails):
+    def __init__(self, what): pass
+"""
+
+
+def test_what_fails_in_a_format_of_one_s_own_is_its_fault(call, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd.py").write_text(ODD)
+    assert call("simulate", "ring_road", "--out", "a.h5", "--set", "track.steps=4") == 0
+    said = {"Fails": "write: KeyError: 'x'", "Empty": "wrote no file", "Unmade": "cannot be made: TypeError"}
+    for name, what in said.items():
+        assert call("export", "a.h5", "--to", f"odd.py:{name}", "--out", "o") == 2
+        assert f"format 'odd.py:{name}'" in (error := capsys.readouterr().err) and what in error
+        assert not (tmp_path / "o").exists()
+    assert call("import", "a.h5", "--format", "odd.py:Fails", "--scene", "ring_road", "--out", "b.h5") == 2
+    assert "read must return dopslam.formats.contract.Opened, got NoneType" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_keeps_the_contract(name):
     made = FORMATS[name]()

@@ -38,9 +38,12 @@ def overrides(settings: list[str] | None, **flags: str | None) -> list[str]:
 
 def filter_names(chosen: list[str] | None) -> list[str]:
     """Names of filters from ``--filter``, repeated or with commas; all are known."""
+    from dopslam.errors import ConfigError
     from dopslam.filters import FILTERS
 
     names = [name.strip() for text in chosen or () for name in text.split(",") if name.strip()]
+    if chosen and not names:
+        raise ConfigError(f"--filter {','.join(chosen)!r} names no filter; known are {', '.join(FILTERS)}")
     for name in names:
         FILTERS[name]
     return list(dict.fromkeys(names))

@@ -56,7 +56,7 @@ def import_(
     from dopslam.config.scenario import load
     from dopslam.datasets import tracks
     from dopslam.errors import DatasetError
-    from dopslam.formats.contract import reader
+    from dopslam.formats.contract import opened as open_foreign
     from dopslam.formats.shown import shown_by
     from dopslam.pipeline import problem as build
     from dopslam.store import file as dataset
@@ -71,7 +71,7 @@ def import_(
         return _channel(table, mapping, out, overrides(settings))
     if scene is None:
         raise DatasetError(f"{table}: give --scene, a folder with scenario.toml or the name of a scene that ships")
-    opened = reader(form).read(table, mapping)
+    opened = open_foreign(form, table, mapping)
     kind, period = "traced" if opened.snr else "model", opened.period
 
     def world_of(shown: Shown, *more: str) -> Scenario:

@@ -13,6 +13,7 @@ from dopslam.datasets.parts import Part
 from dopslam.errors import DatasetError
 from dopslam.formats import FORMATS
 from dopslam.records import DetectionSeries, Track
+from estimation.plugins import blamed
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +80,21 @@ def reader(name: str) -> Reader:
     return _able(name, "reads", Reader, "read", {})  # pyright: ignore[reportAbstractUsage]
 
 
+def opened(name: str, path: Path, mapping: Path | None) -> Opened:
+    """A file through the format of a name that reads; DatasetError if that gives nothing of the kind."""
+    chosen = reader(name)
+    with blamed(chosen, f"format {name!r}: read", DatasetError):
+        found = chosen.read(path, mapping)
+    if not isinstance(found, Opened):
+        raise DatasetError(
+            f"format {name!r}: read must return dopslam.formats.contract.Opened, got {type(found).__name__}"
+        )
+    return found
+
+
 def _able(name: str, what: str, kind: type, done: str, options: dict[str, Any]):
-    found = FORMATS[name](**options)
+    with blamed(FORMATS[name], f"format {name!r} cannot be made", DatasetError):
+        found = FORMATS[name](**options)
     if not (getattr(found, what, False) and isinstance(found, kind)):
         others = ", ".join(other for other, format in FORMATS.sound().items() if getattr(format, what, False))
         raise DatasetError(f"format {name!r} cannot be {done}; those that can: {others}, or 'module:Class' of your own")

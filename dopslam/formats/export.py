@@ -11,6 +11,7 @@ from dopslam.datasets.parts import parts_of
 from dopslam.errors import DatasetError
 from dopslam.formats.contract import writer
 from dopslam.formats.geojson import Origin
+from estimation.plugins import blamed
 
 
 def export(
@@ -41,7 +42,10 @@ def export(
         out.parent.mkdir(parents=True, exist_ok=True)
         place = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".part", dir=out.parent))  # nobody else's
         place.chmod(0o755)
-        chosen.write(parts, place)
+        with blamed(chosen, f"format {kind!r}: write", DatasetError):
+            chosen.write(parts, place)
+        if not any(place.iterdir()):
+            raise DatasetError(f"format {kind!r} wrote no file")
         os.replace(place, out)
     except OSError as error:
         raise DatasetError(f"{out}: cannot be written ({error.strerror or error})") from error

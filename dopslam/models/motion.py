@@ -341,7 +341,7 @@ def motion_of(name: str, told: Told, options: dict[str, Any]) -> MotionModel:
         )
     try:
         found = maker(**{key: value for key, value in (values | options).items() if key in able})
-    except (TypeError, ValueError) as error:
+    except Exception as error:  # a model of one's own can fail in any way
         raise ConfigError(f"filter.motion = {name!r}: {error}") from error
     if not isinstance(found, MotionModel) or tuple(found.names[: len(POSE)]) != POSE:
         raise ConfigError(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -139,6 +140,7 @@ _ENDING = "_no_doppler"  # of a group
 
 def _group(kind: str, variant: str) -> str:
     name, doppler = split_variant(variant)
+    name = name.replace("%", "%25").replace("/", "%2F")  # path/to/file.py:Class; a slash would be a group in a group
     return f"{kind}_{name}" + ("" if doppler else _ENDING)
 
 
@@ -170,7 +172,7 @@ def histories(path: Path) -> dict[str, History]:
     """The filter histories a dataset holds, by variant name: in the order of the table of filters, then others."""
     prefix = _group("slam", "")
     stored = [g.removeprefix(prefix) for g in dataset.groups(path) if g.startswith(prefix)]
-    names = {variant_name(own.removesuffix(_ENDING), not own.endswith(_ENDING)): prefix + own for own in stored}
+    names = {variant_name(unquote(o.removesuffix(_ENDING)), not o.endswith(_ENDING)): prefix + o for o in stored}
     known = [variant for name in FILTERS for variant in (name, name + WITHOUT)]
     order = sorted(names, key=lambda v: (known.index(v) if v in known else len(known), v))
     return {name: dataset.read_record(path, names[name], History) for name in order}

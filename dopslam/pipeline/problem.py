@@ -12,11 +12,13 @@ from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
 from dopslam.models.detection import ConstantDetection
 from dopslam.models.motion import CoordinatedTurn, MotionModel, Told, motion_of
+from dopslam.models.probe import probed
 from dopslam.models.scans import Scans
 from dopslam.records import BaseStations, DetectionSeries, Kind, Landmarks
 from dopslam.simulate.world import FixedNoise, Situation
 from dopslam.slam.belief.records import TYPES, Assumptions
-from dopslam.slam.filter import Filter, Problem
+from dopslam.slam.filter import Capabilities, Filter, Problem
+from estimation.plugins import blamed
 
 MOTION_KEYS = (
     "speed_std", "turn_rate_std", "speed_walk", "turn_rate_walk", "position_walk", "heading_walk",
@@ -46,7 +48,7 @@ def motion(scenario: Scenario) -> MotionModel:
         turn_rate=true.turn_rate,
         **{name: getattr(config, name) for name in MOTION_KEYS},
     )
-    return motion_of(config.motion, told, config.motion_options)
+    return probed(motion_of(config.motion, told, config.motion_options), config.motion)
 
 
 def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +208,15 @@ def chosen_filter(scenario: Scenario, name: str | None = None, doppler: bool = T
         "false_alarm_tail": 0.1 if belief.false_alarm_tail is None else belief.false_alarm_tail,
         "doppler": doppler and motion(scenario).doppler,
     }
-    return kind(**{key: value for key, value in (values | chosen).items() if key in own})
+    with blamed(kind, f"filter {name!r} cannot be made", ConfigError):
+        made = kind(**{key: value for key, value in (values | chosen).items() if key in own})
+        fits = isinstance(made, Filter) and isinstance(made.capabilities, Capabilities)
+    if not fits:
+        raise ConfigError(
+            f"filter {name!r}: {type(made).__name__} is no filter: it needs 'capabilities' (a dopslam.Capabilities), 'init' "
+            "and 'step' (see docs/extending.md)"
+        )
+    return made
 
 
 def _options_of(name: str) -> set[str]:

@@ -15,14 +15,12 @@ that has a faster way through a whole run gives ``run`` as well::
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dopslam.errors import DopslamError, FilterError
+from dopslam.errors import FilterError
 from dopslam.models import ambiguity
 from dopslam.models.detection import DetectionModel, SnrDetection
 from dopslam.models.motion import CoordinatedTurn, MotionModel
@@ -32,6 +30,7 @@ from dopslam.slam import restart
 from dopslam.slam.batch.start import started
 from dopslam.slam.history import Diagnostics, Estimate, History, answer_of_run, history_of_estimates, settled
 from dopslam.slam.orientation import turnable
+from estimation.plugins import blamed
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,19 +211,20 @@ def run(
         whole = getattr(chosen, "run", None)
         if whole is None:
             return run_steps(chosen, problem, scans, rng)
-        with _named(chosen, "run"):
+        with blamed(chosen, f"run: {type(chosen).__name__}", FilterError):
             return answer_of_run(whole(problem, scans, rng), scans.steps, f"{type(chosen).__name__}.run")
 
-    if not problem.restart:
-        history, told = go(problem, scans)
-    else:
-        history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
+    with blamed(problem.motion, f"filter.motion: {type(problem.motion).__name__}", FilterError):
+        if not problem.restart:
+            history, told = go(problem, scans)
+        else:
+            history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
     return (turnable(history, problem.anchor, problem.yaw_std) if problem.yaw_std else history), told
 
 
 def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
     """Refuse what a filter cannot do, by its capabilities."""
-    if not isinstance(chosen, Filter):
+    if not isinstance(chosen, Filter) or not isinstance(chosen.capabilities, Capabilities):
         raise FilterError(
             f"{chosen!r} is not a filter: it needs 'capabilities', 'init' and 'step' (see dopslam.slam.filter)"
         )
@@ -257,10 +257,10 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
 def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
     """The recursion, one scan after the other: :func:`run` for filters without a way of their own."""
     who, told = type(chosen).__name__, []
-    with _named(chosen, "init"):
+    with blamed(chosen, f"init: {who}", FilterError):
         state = chosen.init(problem, rng)
     for k in range(scans.steps):
-        with _named(chosen, f"step {k}"):
+        with blamed(chosen, f"step {k}: {who}", FilterError):
             try:
                 answer = chosen.step(state, scans.take([k]), rng)
             except (ValueError, ArithmeticError, IndexError, np.linalg.LinAlgError) as error:
@@ -268,9 +268,9 @@ def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Gen
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Info)):
             raise FilterError(f"step {k}: {who}.step must return (state, dopslam.Info(...)), got {_shown(answer)}")
         state, info = answer
-        with _named(chosen, f"step {k}"):
+        with blamed(chosen, f"step {k}: {who}", FilterError):
             estimate = settled(info.estimate, f"step {k}: {who}", told[0].estimate.mean if told else None)
-        told.append(replace(info, estimate=estimate))
+            told.append(replace(info, estimate=estimate, nis=float(info.nis), nis_rows=int(info.nis_rows)))
     return history_of_estimates([info.estimate for info in told]), Diagnostics(
         nis=np.array([info.nis for info in told]),
         nis_rows=np.array([info.nis_rows for info in told], dtype=np.int64),
@@ -279,20 +279,6 @@ def run_steps(chosen: Filter, problem: Problem, scans: Scans, rng: np.random.Gen
         existence=tuple(info.existence for info in told),
         passed_over=np.array([info.passed_over for info in told], dtype=np.int64),
     )
-
-
-@contextlib.contextmanager
-def _named(chosen: Filter, where: str) -> Iterator[None]:
-    """What fails in a filter that is not of this house is a fault of that filter, and said to be."""
-    try:
-        yield
-    except DopslamError:
-        raise
-    except Exception as error:
-        if type(chosen).__module__.startswith("dopslam."):
-            raise
-        who, what = type(chosen).__name__, f"{type(error).__name__}: {error}"
-        raise FilterError(f"{where}: {who}: {what} (DOPSLAM_DEBUG=1 shows where)") from error
 
 
 def _shown(answer: Any) -> str:

@@ -153,6 +153,14 @@ def settled(estimate: Estimate, who: str, before: Array | None = None) -> Estima
         if found[name].shape != shape or n < 4:
             needed = "(n,), x, y, heading, bias and what follows" if name == "mean" and before is None else shape
             raise FilterError(f"{who}: Estimate.{name} has the shape {found[name].shape}, it must be {needed}")
+        if not np.isfinite(found[name]).all():
+            raise FilterError(f"{who}: Estimate.{name} is not finite")
+    for name in ("covariance", "position_covariance"):
+        if np.einsum("...ii->...i", found[name]).min(initial=0.0) < 0:
+            raise FilterError(f"{who}: Estimate.{name} has a negative variance")
+    for name in ("existence", "type_probability"):
+        if found[name].min(initial=0.0) < 0 or found[name].max(initial=0.0) > 1 + 1e-6:
+            raise FilterError(f"{who}: Estimate.{name} is no probability, from 0 to 1")
     return Estimate(**found)
 
 
@@ -171,6 +179,9 @@ def answer_of_run(answer: tuple[History, Diagnostics], steps: int, who: str) -> 
         )
     if answer[0].steps != steps:
         raise FilterError(f"{who} returned a history of {answer[0].steps} steps for {steps} scans")
+    for name in ("mean", "covariance", "position", "existence"):
+        if not np.isfinite(getattr(answer[0], name)).all():
+            raise FilterError(f"{who} returned a history whose {name} is not finite")
     return answer
 
 

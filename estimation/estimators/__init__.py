@@ -13,8 +13,10 @@ import difflib
 import inspect
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
 from ..errors import EstimationError, ModelError
-from ..plugins import Table
+from ..plugins import Table, blamed
 
 if TYPE_CHECKING:
     from ..detections import Detections
@@ -85,7 +87,8 @@ def make(kind: str, model: SignalModel, own: dict[str, Any] | None = None, **off
             hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names) or 'none'}"
             raise ModelError(f"estimator {kind!r}: it has no option {option!r}; {hint}")
     taken = {name: value for name, value in offered.items() if open_ended or name in names}
-    return cls(model, **(taken | (own or {})))
+    with blamed(cls, f"estimator {kind!r} cannot be made", ModelError):
+        return cls(model, **(taken | (own or {})))
 
 
 def estimated(estimator: Estimator, signal: Any) -> Detections:
@@ -98,10 +101,15 @@ def estimated(estimator: Estimator, signal: Any) -> Detections:
     """
     from ..detections import Detections
 
-    found = estimator.run(signal)
+    with blamed(estimator, f"estimator {type(estimator).__name__}: run(signal)", EstimationError):
+        found = estimator.run(signal)
     if not isinstance(found, Detections):
         raise EstimationError(
             f"estimator {type(estimator).__name__}: run(signal) must return estimation.Detections, "
             f"got {type(found).__name__}; estimation.Detections.of(paths, covariance, ...) makes them"
+        )
+    if np.einsum("nii->ni", found.covariance).min(initial=1.0) <= 0:
+        raise EstimationError(
+            f"estimator {type(estimator).__name__}: a covariance of its detections has no positive variance"
         )
     return found

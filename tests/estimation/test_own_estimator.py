@@ -33,6 +33,22 @@ class Wrong:
     def run(self, signal):
         return [1.0]
 
+class Negative(Strongest):
+    def run(self, signal):
+        paths = PathTable([1e-7], [[0.1, 0.2]], [[0.3, 0.4]], [0.0], [1.0])
+        return Detections.of(paths, -np.eye(6)[None], snr=50.0, threshold=25.0)
+
+class Faulty(Strongest):
+    def run(self, signal):
+        return {}["peak"]
+
+class Unmade:
+    def __init__(self):
+        pass
+
+    def run(self, signal):
+        pass
+
 class Deaf:
     pass
 '''
@@ -72,6 +88,7 @@ def test_one_s_own_takes_the_options_that_it_names(own, model, monkeypatch, tmp_
         ("nowhere.py:Class", {}, "no file nowhere.py"),
         ("numpy:Class", {}, "no class 'Class'"),
         ("{own}:Deaf", {}, "no method run"),
+        ("{own}:Unmade", {}, "cannot be made: TypeError"),
         ("{own}:Strongest", {"cell": 3}, "did you mean 'cells'"),
         ("nomp", {"resolved": True}, "did you mean 'resolve'"),
     ],
@@ -84,6 +101,10 @@ def test_what_is_no_estimator_is_said_in_one_sentence(own, model, kind, own_opti
 def test_detections_are_asked_for(own, model):
     with pytest.raises(EstimationError, match=r"must return estimation\.Detections, got list"):
         estimated(make(f"{own}:Wrong", model), np.ones(model.shape))
+    with pytest.raises(EstimationError, match=r"estimator Faulty: run\(signal\): KeyError: 'peak'"):
+        estimated(make(f"{own}:Faulty", model), np.ones(model.shape))
+    with pytest.raises(EstimationError, match="Negative: a covariance of its detections has no positive variance"):
+        estimated(make(f"{own}:Negative", model), np.ones(model.shape))
     with pytest.raises(EstimationError, match=r"covariance must be of shape \(1, 6, 6\)"):
         Detections.of(PathTable([0.0], [[0, 0]], [[0, 0]], [0.0], [1.0]), np.eye(6))
 

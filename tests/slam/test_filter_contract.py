@@ -14,6 +14,7 @@ from dopslam.models.scans import Scans
 from dopslam.pipeline import problem as build
 from dopslam.simulate.world import section_v, simulate, unknown_motion
 from dopslam.slam.filter import Capabilities, Estimate, Info, run, run_steps
+from dopslam.slam.history import TYPES
 
 OWN = """
     from dataclasses import dataclass
@@ -136,6 +137,13 @@ ODD = {
     r"type_probability has the shape \(0, \d\), it must be \(1,": lambda m, c: (0, Info(Estimate(m, c, **POINT))),
     "step 0: Answers: KeyError: 'speed'": lambda mean, covariance: {}["speed"],
     "is not made of numbers": lambda mean, covariance: (0, Info(Estimate("abcd", covariance))),
+    "Estimate.mean is not finite": lambda mean, covariance: (0, Info(Estimate(mean * np.nan, covariance))),
+    "covariance has a negative variance": lambda mean, covariance: (0, Info(Estimate(mean, -covariance))),
+    "existence is no probability": lambda m, c: (
+        0,
+        Info(Estimate(m, c, POINT["position"], [np.eye(3)], [5.0], np.eye(TYPES)[1:2], [0])),
+    ),
+    "step 0: Answers: TypeError": lambda mean, covariance: (0, Info(Estimate(mean, covariance), nis=np.ones(2))),
     "step 1: Answers: TypeError": lambda mean, covariance: (None, Info(Estimate(mean, covariance))),
 }
 
@@ -144,6 +152,29 @@ ODD = {
 def test_what_a_filter_of_one_s_own_answers_is_looked_at(said, case):
     with pytest.raises(FilterError, match=said):
         run(case[0], case[2], Answers(ODD[said]))
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("pass", "Mine is no filter: it needs 'capabilities'"),
+        ("capabilities = {'doppler': True}; init = step = lambda *_: 0", "Mine is no filter"),
+        ("__init__ = lambda self, gain: None", "cannot be made: TypeError: .*'gain'"),
+        (
+            "capabilities = property(lambda self: 1 / 0); init = step = lambda *_: 0",
+            "cannot be made: ZeroDivisionError",
+        ),
+    ],
+)
+def test_what_is_no_filter_is_said_before_anything_runs(body, said, tmp_path):
+    (tmp_path / "mine.py").write_text(f"class Mine:\n    {body}\n")
+    with pytest.raises(ConfigError, match=said):
+        build.chosen_filter(ds.load("ring_road"), f"{tmp_path}/mine.py:Mine")
+
+
+def test_no_name_is_no_filter(call, capsys):
+    assert call("slam", "a.h5", "--filter", ",") == 2
+    assert "names no filter; known are joint" in capsys.readouterr().err
 
 
 def test_a_filter_may_write_into_what_it_handed_out(case):
@@ -191,6 +222,23 @@ def test_a_filter_of_one_s_own_runs_everywhere(call, tmp_path, monkeypatch, caps
         == 2
     )
     assert "has no such option; it has" in capsys.readouterr().err
+
+
+def test_a_filter_may_lie_in_another_folder(call, tmp_path, monkeypatch, capsys):
+    """The slashes of its name leave the file, its copies and exports whole."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my 50%").mkdir()
+    (tmp_path / "my 50%" / "mine.py").write_text(textwrap.dedent(OWN))
+    name = f"{tmp_path}/my 50%/mine.py:DeadReckoning"
+    assert call("simulate", "ring_road", "--out", "a.h5", "--set", "track.steps=3") == 0
+    assert call("slam", "a.h5", "--filter", name) in (0, 3)
+    assert call("slam", "a.h5", "--filter", "my 50%/mine.py:DeadReckoning") in (0, 3)
+    assert call("bound", "a.h5", "--doppler-std", "none") == 0
+    for words in (("info", "a.h5"), ("check", "a.h5"), ("export", "a.h5", "--to", "csv", "--out", "o")):
+        assert call(*words) == 0, words
+    assert call("evaluate", "a.h5", "--out", "e") in (0, 3)
+    found = json.loads((tmp_path / "e" / "summary.json").read_text())["variants"]
+    assert set(found) == {f"{name}, no Doppler", "my 50%/mine.py:DeadReckoning, no Doppler"}
 
 
 def test_plug_ins_announce_themselves(monkeypatch, tmp_path):

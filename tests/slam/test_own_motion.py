@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dopslam.config.scenario import load
+from dopslam.errors import ConfigError
 from dopslam.evaluate.bounds import detection_mask, pcrb
 from dopslam.filters import FILTERS
 from dopslam.models.motion import Motion, MotionModel, Told, differences, motion_of
@@ -116,3 +118,40 @@ def test_one_file_outside_the_package(own, call, tmp_path, capsys):
     assert "has no such option; it has jerk" in capsys.readouterr().err
     assert call("slam", data, "--set", "filter.motion=knwon") == 2
     assert "did you mean 'known'" in capsys.readouterr().err
+
+
+STILL = """
+import numpy as np
+from dopslam.models.motion import Motion
+
+class Still(Motion):
+    def __init__(self, interval, pose_noise):
+        self.interval, self.process_noise = interval, pose_noise
+    def step(self, state):
+        return np.array(state)
+    def velocity(self, state):
+        return np.zeros((*np.shape(state)[:-1], 3))
+
+class Wrong(Still):
+    BODY
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("def step(self, state): return np.zeros(3)", r"Wrong.step has the shape \(3,\), it must be \(3, 4\)"),
+        ("def step(self, state): return {}['speed']", "Wrong.step: KeyError: 'speed'"),
+        ("def velocity(self, state): return np.zeros(2)", r"Wrong.velocity has the shape \(2,\)"),
+        ("def prior(self, mean, covariance): return mean, mean", r"prior \(covariance\) has the shape \(4,\)"),
+        ("process_noise = property(lambda self: np.eye(3), lambda *_: 0)", r"process_noise has the shape \(3, 3\)"),
+        ("process_noise = property(lambda self: -np.eye(4), lambda *_: 0)", "process_noise is no covariance"),
+        ("names = ('x', 'y', 'heading', 'bias', 'vx', 'vx')", "names has one twice"),
+        ("def __init__(self): raise KeyError('nothing')", "'nothing'"),
+    ],
+)
+def test_its_answers_are_looked_at_before_anything_runs(body, said, tmp_path):
+    (tmp_path / "mine.py").write_text(STILL.replace("BODY", body))
+    assert build.motion(load("ring_road", [f"filter.motion={tmp_path}/mine.py:Still"])).dimension == 4
+    with pytest.raises(ConfigError, match=said):
+        build.motion(load("ring_road", [f"filter.motion={tmp_path}/mine.py:Wrong"]))
