@@ -31,6 +31,12 @@ def planar(variance: np.ndarray) -> bool:
     return bool(len(variance)) and bool((variance[:, [2, 4]] > UNSEEN[[2, 4]]).all())
 
 
+def delay_width(search_volume: float, doppler_span: float, used: np.ndarray) -> float:
+    """Width [m] over which delays are searched, from the volume of all six quantities and which of them (6,) are measured."""
+    spans = np.append(SPANS[1:5], doppler_span)
+    return max(search_volume / float(np.prod(spans * np.where(used[1:], 1.0, WIDE))), 1e-3)
+
+
 def volume(widths: np.ndarray, missing: np.ndarray) -> float:
     """Volume that false paths spread over; ``missing`` (6,) counts with the width of its own Gaussian. It is the share of
     the detections that lack a quantity, where only some do: the geometric mean over them."""

@@ -119,8 +119,7 @@ def rows_of(scans: Scans, stations: Array, height: float, speed: float, *, doppl
     spans[5] = scans.doppler_span
     spans[0] = np.inf  # a delay is measured, always
     used = ~unmeasured.missing(variance, spans)
-    wide = np.where(used.any(axis=0), 1.0, unmeasured.WIDE)
-    spans[0] = max(scans.search_volume / np.prod(spans[1:] * wide[1:]), 1e-3)
+    spans[0] = unmeasured.delay_width(scans.search_volume, scans.doppler_span, used.any(axis=0))
     used[:, 5] &= doppler
     both = used[:, :, None] & used[:, None, :]
     flat = unmeasured.planar(variance)

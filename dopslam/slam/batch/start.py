@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 POSE = 4  # entries of a state that a snapshot tells
 PLENTY = 0.95  # share of the detections explained from which the chain of snapshots is not doubted
-WINDOW = 15  # scans that are smoothed for a start
+WINDOW = 60  # scans that are smoothed for a start, at most
 TWICE = 2.0  # the filter reads these scans again: half their information is left for then (covariance intersection)
 
 

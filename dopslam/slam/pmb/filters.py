@@ -16,10 +16,26 @@ from dopslam.models.scans import Scans
 from dopslam.slam.filter import Capabilities, Info, Problem, run_steps
 from dopslam.slam.history import Diagnostics, History, estimate_of
 from dopslam.slam.pmb import ek_pmb, mixture, smoother
+from dopslam.slam.pmb.birth import STOREYS
 from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density, predicted
 
 OPEN_HEADING = 0.1  # rad per step of process noise, beyond which a heading says little of the next
 MANY = 100  # associations that are then kept
+
+
+EXPECTED = 10.0  # landmarks of a kind thought possible where the detections can come from
+
+
+def _in_the_plane(scans: Scans) -> float:
+    """Least intensity [m⁻³] of undetected landmarks where only the plane is seen, as high as a birth takes it to be.
+
+    In three dimensions the directions of a detection leave next to nothing to chance, and any intensity does; in the plane
+    one that is far too low makes an unlikely line of sight of what comes over a landmark.
+    """
+    spans = np.append(unmeasured.SPANS[:5], scans.doppler_span)
+    used = ~unmeasured.missing(np.einsum("nii->ni", scans.covariance), spans)
+    width = unmeasured.delay_width(scans.search_volume, scans.doppler_span, used.any(axis=0))
+    return EXPECTED / (width**2 * STOREYS)
 
 
 class State(NamedTuple):
@@ -70,7 +86,11 @@ class Joint:
         # Exact weights of many associations where the heading may be any from one scan to the next, and with it everything
         # that is seen: products of single likelihoods know nothing of an error that all share.
         turned = bool(np.sqrt(problem.motion.process_noise[2, 2]) > OPEN_HEADING)
-        second = 0.01 * problem.undetected[0] if self.intensity_sr is None else self.intensity_sr
+        intensity = np.array(problem.undetected)
+        planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance))
+        if planar:
+            intensity = np.maximum(intensity, _in_the_plane(scans))
+        second = 0.01 * float(intensity[0]) if self.intensity_sr is None else self.intensity_sr
         return FilterParameters(
             joint=self.correlated,
             doppler=self.doppler,
@@ -84,11 +104,11 @@ class Joint:
             survival=problem.survival,
             hide=self.hide,
             reappear=self.reappear,
-            intensity=(*problem.undetected, second),
+            intensity=(*intensity.tolist(), second),
             birth_intensity=problem.births,
             detection=problem.detection_of(scans),
             **({} if scans.cells else {"outlier": 0.0}),
-            planar=unmeasured.planar(np.einsum("nii->ni", scans.covariance)),
+            planar=planar,
         )
 
     def init(self, problem: Problem, rng: np.random.Generator) -> State:
