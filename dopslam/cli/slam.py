@@ -64,5 +64,10 @@ def slam(
     for variant, why in lost.items():
         if why:
             console.print(f"diverged: {variant}: {why}; do not use this track ({REMEDY})", style="bold red")
+    good = [variant for variant, why in lost.items() if not why]
+    if good:
+        console.print(
+            f"{dataset}: track and map of {', '.join(good)}; next: {stages.after_slam(dataset)}", highlight=False
+        )
     if next(iter(lost.values())):
         sys.exit(3)

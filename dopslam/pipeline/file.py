@@ -185,6 +185,19 @@ def mishaps(path: Path, variant: str) -> tuple[str, str]:
     return history.lost, history.restarted
 
 
+def after_slam(path: Path) -> str:
+    """The command that shows what the filters of a file found: what is compared with the truth, or what goes out without one."""
+    have = dataset.groups(path)
+    if "track" not in have:
+        return f"dopslam export {path} --to csv --out FOLDER"
+    known = "landmarks" in have and _map_known(
+        dataset.read_record(path, "landmarks", Landmarks),
+        dataset.read_record(path, "paths", Paths) if "paths" in have else None,
+    )
+    judged_by = any(group.startswith("bound_") for group in have) or not known
+    return f"dopslam {'evaluate' if judged_by else 'bound'} {path}"
+
+
 def bound(path: Path, settings=(), doppler: bool = True) -> None:
     """Add the posterior Cramér–Rao bounds of this run: its track, its detections and their R, the true association.
 

@@ -161,3 +161,11 @@ def test_what_was_found_without_a_truth_goes_out_as_tables_and_trajectories(run,
     for form in ("csv", "tum"):
         with pytest.raises(DatasetError, match=r"run 'dopslam slam"):
             export(bare, tmp_path / "none", form)
+
+
+def test_slam_says_what_comes_next(run, tmp_path):
+    assert stages.after_slam(run) == f"dopslam bound {run}"
+    history, series = dataset.read_record(run, "slam_joint", History), stages.read_detections(run)
+    path = tmp_path / "own.h5"
+    dataset.write_records(path, {"detections": series, "slam_joint": history}, dataset.read_root(run)[0], 0)
+    assert stages.after_slam(path).startswith(f"dopslam export {path} --to csv")
