@@ -208,7 +208,7 @@ class Filter(Frozen):
     prune_existence: Probability = 1e-3
     report_existence: Probability = 0.5
     linearization: Literal["extended", "cubature"] = "extended"
-    reweight: bool = False  # weight associations by the evidence of the joint update
+    reweight: bool | None = None  # weight associations by the evidence of the joint update; default: not in `marginal`
     hypotheses: Few = 20  # of the mixture: global hypotheses kept between steps
     lag: Few = 5  # steps that the smoother revisits
     birth_va: NonNegative = 0.0  # m⁻³ per step, added to the intensity of undetected virtual anchors

@@ -98,6 +98,25 @@ def test_which_tracks_are_one(world):
     assert three == pytest.approx([0.0, 1.0 - 0.2 * 0.1 * 0.5, 0.0])
 
 
+def test_what_is_merged_is_of_a_kind_that_both_may_be(world):
+    """A wall that is known beside a doubtful track that may be a wall or a scatter point."""
+    wall = world.landmarks(VA)[0]
+    given = density(world, (VA, wall, 0.999, 1.0), (VA, wall, 0.3, 0.0), (SP, wall + 9.0, 0.15, 0.0))
+    given.track[3] = given.track[2]
+    merge_duplicates(given, N, compile_model(FilterParameters(), world.motion, world.bs))
+    assert given.weight[1:] == pytest.approx([0.0, 0.999, 0.0])
+
+
+def test_two_that_were_seen_once_confirm_nothing(world):
+    """Two detections of one scan may be two pieces of one mistake."""
+    wall = world.landmarks(VA)[0]
+    given = density(world, (VA, wall, 0.45, 1.0), (VA, wall, 0.45, 0.0))
+    given.detections[1:] = 1.0
+    model = compile_model(FilterParameters(), world.motion, world.bs)
+    merge_duplicates(given, N, model)
+    assert given.weight[1:] == pytest.approx([0.0, model.unconfirmed])
+
+
 def test_where_one_may_lie_anywhere_two_are_two(world):
     """Two that are known to fifty metres each would merge by their distance alone."""
     given = density(world, (VA, world.landmarks(VA)[0], 0.8, 3.0), (VA, world.landmarks(VA)[0], 0.9, 0.0))

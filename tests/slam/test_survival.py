@@ -179,17 +179,18 @@ def test_a_distorted_detection_is_no_landmark_beside_the_one_it_stems_from(world
 
 
 def test_of_two_tracks_of_one_path_the_one_that_is_seen_is_left(world):
-    """A duplicate within the resolution cell of a landmark that is detected cannot be out of sight; one elsewhere can."""
+    """A duplicate within the resolution cell of a landmark that is detected cannot be out of sight; one elsewhere can, and so
+    can one in the same cell that has been seen too often for a duplicate."""
     noise = np.diag((0.05 * world.noise.std) ** 2)
     start = one_landmark(world, weight=0.99, spread=0.01)
     left = {}
-    for name, shift in (("beside", 0.8), ("elsewhere", 60.0)):
+    for name, shift, seen in (("beside", 0.8, 3.0), ("elsewhere", 60.0, 3.0), ("a house behind", 0.8, 5.0)):
         covariance = np.zeros((10, 10))
         covariance[:7, :7], covariance[7:, 7:] = start.covariance, 1e-4 * np.eye(3)
         other = start.mean[4:7] + shift * np.array([0.6, 0.8, 0.0])
         density = PMB(
             np.concatenate([start.mean, other]), covariance, np.array([BS, VA, VA]), np.array([1.0, 0.99, 0.9]),
-            np.array([-1, 0, 1]), np.zeros(3), np.full(3, 5.0), np.ones(3), np.zeros(3), np.zeros(3),
+            np.array([-1, 0, 1]), np.zeros(3), np.array([5.0, 5.0, seen]), np.ones(3), np.zeros(3), np.zeros(3),
             np.zeros(3, dtype=np.int64), start.trail,
         )  # fmt: skip
         states = nominal_track(world)[:12]
@@ -201,7 +202,7 @@ def test_of_two_tracks_of_one_path_the_one_that_is_seen_is_left(world):
         posterior = filtered(density, model, z, noise, snr=np.log(1000.0))[0]
         left[name] = posterior.weight[posterior.track == 1].sum()
         assert posterior.weight[posterior.track == 0].sum() > 0.99
-    assert left["beside"] < 0.05 and left["elsewhere"] > 0.15
+    assert left["beside"] < 0.05 and left["elsewhere"] > 0.15 and left["a house behind"] > 0.15
 
 
 def test_factorize_mends_rounding_and_nothing_else():

@@ -212,7 +212,7 @@ class FilterParameters:
     prune: float = 1e-3
     existence_limit: float = 0.999
     unconfirmed: float = 0.45
-    beside: float = 0.8
+    beside: float = 0.5
     merge: bool = True
     curvature: bool = True
     hide: float = 0.05

@@ -60,8 +60,8 @@ class Joint:
     hide, reappear : probabilities per step that a landmark in sight goes out of sight, and that one just gone comes back
     prune_existence : landmarks below this existence are dropped
     linearization : ``"extended"``, or ``"cubature"`` points instead of Jacobians
-    reweight : weight associations by the evidence of the joint update; always, and a hundred of them, where the motion
-        model leaves the heading open
+    reweight : weight associations by the evidence of the joint update; None: where the cross-covariances are kept; always,
+        and a hundred of them, where the motion model leaves the heading open
     thinning : reduce the undetected intensity inside the field of view after every scan
     """
 
@@ -78,7 +78,7 @@ class Joint:
     reappear: float = 0.1
     prune_existence: float = 1e-3
     linearization: str = "extended"
-    reweight: bool = False
+    reweight: bool | None = None
     thinning: bool = False
 
     def parameters(self, problem: Problem, scans: Scans) -> FilterParameters:
@@ -99,7 +99,7 @@ class Joint:
             gate=self.gate,
             prune=self.prune_existence,
             cubature=self.linearization == "cubature",
-            reweight=self.reweight or turned,
+            reweight=(self.correlated if self.reweight is None else self.reweight) or turned,
             thinning=self.thinning,
             survival=problem.survival,
             hide=self.hide,

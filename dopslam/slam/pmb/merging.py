@@ -7,6 +7,9 @@ Gaussian, "the same" against "two that lie there by chance" has the odds N(d; 0,
 anchors and second reflections both say where a path comes from, so they may be the same; scatter points are compared among
 themselves.
 
+The merged landmark is of a kind that both may be: one that has long been told to be a wall does not become a scatter point
+because a doubtful track beside it might be one.
+
 The joint Gaussian is conditioned on d = 0: the exact posterior of one landmark that both have measured, with all that this
 says about the receiver and the others. One of the two blocks is then a copy of the other and goes. The landmark exists if
 either did.
@@ -22,6 +25,7 @@ from dopslam.compute.compiled import compiled
 from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
 from dopslam.models.kernels import SP
 from dopslam.slam.pmb.density import INERT, NO_TRACK, start_of
+from dopslam.slam.pmb.projection import ONCE
 
 APART = 16.0  # squared Mahalanobis distance up to which two positions may be one (99.9 % of χ²₃)
 UNSEEN = 0.5  # due detections that the one of the two has missed
@@ -134,20 +138,29 @@ def identify(mean, covariance, n, i, j):
 @compiled
 def _join(density, i, j, model):
     """Give the track of block j what that of block i was, and end the latter."""
-    gone = stays = 0.0
+    gone = stays = alike = agreed = 0.0
     for b in range(1, density.kind.shape[0]):
         if density.track[b] == density.track[i]:
             gone += density.weight[b]
+            if (density.kind[b] == SP) == (density.kind[i] == SP):
+                alike += density.weight[b]
         elif density.track[b] == density.track[j]:
             stays += density.weight[b]
+    alike /= max(gone, 1e-300)
+    for b in range(1, density.kind.shape[0]):
+        if density.track[b] == density.track[j]:
+            density.weight[b] *= alike if (density.kind[b] == SP) == (density.kind[i] == SP) else 1.0 - alike
+            agreed += density.weight[b]
     existence = min(1.0 - (1.0 - gone) * (1.0 - stays), model.existence_limit)
     seen = density.detections[i] + density.detections[j]
+    if max(density.detections[i], density.detections[j]) < ONCE:  # in one scan, perhaps: that confirms nothing
+        existence = min(existence, model.unconfirmed)
     share = density.detections[i] / max(seen, 1e-12)
     for b in range(1, density.kind.shape[0]):
         if density.track[b] == density.track[i]:
             density.weight[b] = 0.0
         elif density.track[b] == density.track[j]:
-            density.weight[b] *= existence / max(stays, 1e-300)
+            density.weight[b] *= existence / max(agreed, 1e-300)
             density.detections[b] = min(seen, model.memory)
             if (density.kind[b] == SP) == (density.kind[i] == SP):  # what spreads alike
                 density.reference[b] += share * (density.reference[i] - density.reference[b])

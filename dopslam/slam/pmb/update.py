@@ -25,7 +25,8 @@ def weights_after(density, local, scan, association, model, weight, reference, d
     A miss moves P(in sight) by Bayes' rule, v ← v(1 - p_D)/(1 - v p_D); a detection sets it to 1. A distorted detection
     leaves the existence alone and counts as a miss for the sight, so that what goes on beside a landmark that has gone
     becomes a landmark of its own. Nothing hides a landmark and not what is seen within its resolution cell: such a miss
-    counts against its existence (`Model.beside`), until of two tracks of one path the one that is seen is left.
+    counts against its existence (`Model.beside`), until of two tracks of one path the one that is seen is left. What was
+    seen `Model.memory` times is no piece of another path: one house stands behind the other in the same cell.
     """
     tracks = local.first.shape[0] - 1
     for b in range(density.kind.shape[0]):
@@ -45,9 +46,12 @@ def weights_after(density, local, scan, association, model, weight, reference, d
             for b in range(local.first[t], local.first[t + 1]):
                 beside = beside or local.cell[p, b]
         if missed and beside:
-            existence = 0.0
+            existence = seen = 0.0
             for b in range(local.first[t], local.first[t + 1]):
                 existence += weight[b]
+                seen = max(seen, density.detections[b])
+            if seen > model.memory - 0.5:
+                continue
             for b in range(local.first[t], local.first[t + 1]):
                 weight[b] *= model.beside / (1.0 - existence + model.beside * existence)
     for p in range(scan.z.shape[0]):
