@@ -153,3 +153,8 @@ def test_a_track_may_have_semicolons_and_decimal_commas(tmp_path):
     (tmp_path / "t.csv").write_bytes("time;x;y\r\n0,5;1,25;2\r\n1,0;1,5;2,5\r\n".encode("utf-16"))
     rows = read_rows(tmp_path / "t.csv", "track.file")
     assert rows["x"].tolist() == [1.25, 1.5] and rows["time"].tolist() == [0.5, 1.0]
+
+
+def test_speeds_where_times_belong_are_told_what_the_third_number_is():
+    with pytest.raises(ConfigError, match=r"rows of x \[m\], y \[m\], time \[s\]: time must rise"):
+        from_waypoints([[0, 0, 5.0], [10, 0, 5.0]], 1.0, 1.5, 0.5)

@@ -163,7 +163,7 @@ def from_waypoints(points, speed: float, height: float, period: float) -> Drive:
         raise ConfigError("track.waypoints: give two or more, all as [x, y] or all as [x, y, time]")
     if table.shape[1] == 3:
         time = table[:, 2]
-        rising("track.waypoints", time)
+        rising("track.waypoints, rows of x [m], y [m], time [s]", time)
     else:
         lengths = np.linalg.norm(np.diff(table, axis=0), axis=1)
         if not speed > 0 or np.any(lengths == 0):
