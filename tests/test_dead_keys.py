@@ -6,7 +6,7 @@ import typing
 import pytest
 from pydantic import BaseModel
 
-from dopslam.config.scenario import Scenario, load, override
+from dopslam.config.scenario import Scenario, load, override, parse
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS, MOTIONS
 from dopslam.pipeline.reads import _HANDED, handed, refuse_unread
@@ -58,9 +58,25 @@ def others(scenario, path, field):
     return [f"{'.'.join(path)}={str(v).lower() if isinstance(v, bool) else repr(v)}" for v in tried if v != value]
 
 
+GIVEN = {
+    "radio.beams.kind": "digital",
+    "scene.materials": '{concrete="metal"}',
+    "scene.options": "{height=[3.0, 3.1]}",
+    "radio.pilots": str(list(range(-799, 801, 4))),
+    "track.waypoints": "[[70.0, 0.0], [70.0, 50.0]]",
+    "scatter_point": '[{name="a", position=[1.0, 2.0, 3.0], rcs=1.0}]',
+    "estimator.options": "{refine=1}",
+    "filter.options": "{joint={associations=3}}",
+    "filter.motion_options": "{speed=3.0}",
+    "belief.types": "va_only",
+}
+"""Values of keys that no rule guesses."""
+
+
 def changed(scenario, path, field):
     """The setting and the scenario with another value of a key, or None if none of the guesses is valid."""
-    for setting in others(scenario, path, field):
+    key = ".".join(path)
+    for setting in [f"{key}={GIVEN[key]}"] if key in GIVEN else others(scenario, path, field):
         try:
             other = override(scenario, [setting])
         except ConfigError:
@@ -79,6 +95,7 @@ CASES = [
     override(BASE["ring_road"], ["filter.motion=walk"]),
     BASE["pedestrian"],
     override(BASE["pedestrian"], ["belief.engine=stacked"]),
+    parse('name = "room"\n[scene]\ngenerator = "room"\nseed = 3\n[radio]\nbandwidth = 2e8'),
 ]
 KEYS = {".".join(path): (path, field) for path, field in leaves(Scenario)}
 
@@ -121,3 +138,27 @@ def test_the_message_says_who_would_read_it(call, capsys):
 
 def test_what_says_nothing_new_is_accepted():
     refuse_unread(lambda chosen: load("ring_road", chosen), ["filter.lag=5"], ("slam",), ("joint",))
+
+
+@pytest.mark.parametrize(
+    ("before", "setting"),
+    [
+        ([], "radio.bandwidth=190e6"),  # the pilots say it
+        ([], "scene.seed=5"),  # of a generator, and this is a file
+        ([f"radio.pilots={GIVEN['radio.pilots']}"], "radio.comb=5"),
+        (["radio.beams.kind=digital"], "radio.beams.beams=7"),
+        (["radio.beams.kind=digital"], "radio.beams.seed=7"),
+    ],
+)
+def test_a_key_that_others_overrule_is_refused(before, setting):
+    stages = ("trace", "estimate", "bound", "evaluate", "slam")
+    with pytest.raises(ConfigError, match=f"{setting.partition('=')[0]}: changes nothing here"):
+        refuse_unread(lambda chosen: override(BASE["ring_road"], [*before, *chosen]), [setting], stages, ("joint",))
+
+
+def test_a_key_that_another_one_needs_is_accepted():
+    """Left out alone it leaves a scenario that cannot be."""
+    both = ["radio.beams.kind=antenna", "radio.beams.beams=32"]
+    refuse_unread(lambda chosen: load("ring_road", chosen), both, ("estimate",))
+    with pytest.raises(ConfigError, match="as many antenna beams as elements"):
+        refuse_unread(lambda chosen: load("ring_road", chosen), both[:1], ("estimate",))

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
+from dopslam.pipeline import link
 from dopslam.pipeline import problem as build
 
 
@@ -47,11 +48,16 @@ def refuse_unread(
     if not settings:
         return
     full = make(settings)
+    given = {stage: handed(stage, full, names) for stage in stages}
     for place, text in enumerate(settings):
-        other = make(settings[:place] + settings[place + 1 :])
+        try:
+            other = make(settings[:place] + settings[place + 1 :])
+            alike = all(handed(stage, other, names) == given[stage] for stage in stages)
+        except ConfigError:  # the others cannot be without it
+            continue
         if full.to_toml() == other.to_toml():  # says what was so already
             continue
-        if all(handed(stage, full, names) == handed(stage, other, names) for stage in stages):
+        if alike:
             key = text.partition("=")[0].strip()
             run = " and ".join(dict.fromkeys([*stages[-1:], *(names or ())]))
             raise ConfigError(
@@ -84,7 +90,10 @@ def _plain(value: Any) -> Any:
 
 
 def _link(scenario: Scenario) -> Any:
-    return scenario.radio, scenario.base_station, scenario.receiver.array, scenario.source.traced
+    """The link as it is made: a key that the others overrule makes no difference to it."""
+    station = scenario.base_station
+    amplitude, noise = link.pilot_amplitude(scenario), link.noise_variance(scenario)
+    return link.signal_model(scenario), amplitude, noise, station.position, station.yaw_deg
 
 
 def _told(scenario: Scenario, names: Sequence[str]) -> Any:
@@ -95,7 +104,9 @@ def _told(scenario: Scenario, names: Sequence[str]) -> Any:
 
 
 def _trace(scenario: Scenario, names: Sequence[str]) -> Any:
-    parts = (scenario.scene, scenario.trace, scenario.scatter_point, scenario.track, scenario.base_station.position)
+    scene = scenario.scene
+    made = scene if scene.generator else (scene.file, scene.builtin, scene.materials)
+    parts = (made, scenario.trace, scenario.scatter_point, scenario.track, scenario.base_station.position)
     return parts, scenario.receiver.height, scenario.radio.carrier_frequency
 
 
