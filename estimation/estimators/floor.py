@@ -60,7 +60,7 @@ class Floor:
             return raised
         strength = known.drop / self.variance
         blocks = [mode[:, 0] for mode in model.evaluate(candidates)[0]]
-        overlap = [_overlap(own, other[:, 0]) for own, other in zip(blocks, known.blocks[0], strict=True)]
+        overlap = [squared_coherences(own, other[:, 0]) for own, other in zip(blocks, known.blocks[0], strict=True)]
         for mode, own in enumerate(blocks):
             if own.shape[1] <= FITTED:
                 continue
@@ -206,7 +206,7 @@ def contracted(data, unit, mode: int):
     return data
 
 
-def _overlap(first, second) -> Float:
+def squared_coherences(first, second) -> Float:
     """Squared coherences (C, P) of vectors (C, n) and (P, n)."""
     norms = np.linalg.norm(first, axis=1)[:, None] * np.linalg.norm(second, axis=1)
     return np.abs(first.conj() @ second.T) ** 2 / np.maximum(norms, 1e-150) ** 2

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from ..signal.arrays import Complex
+from .haze import Haze
 from .refine import Linearization
 
 DOUBT = 5.0
@@ -17,7 +18,7 @@ LEAST_NOISE = 1e-9
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Energy and number of samples of a burst, the noise variance if it is known, a factor on it where caution is due,
-    whether the search ended before it was done, and the covariance over the ports if that is why.
+    whether the search ended before it was done, the covariance over the ports if that is why, and what was taken for no path.
     """
 
     energy: float
@@ -26,6 +27,7 @@ class Noise:
     inflation: float = 1.0
     limited: bool = False
     ports: Complex | None = None
+    hazes: tuple[Haze, ...] = ()
 
     def variance(self, lin: Linearization | None) -> float:
         """What the paths leave unexplained per degree of freedom (eight real parameters each), unless the known variance

@@ -23,7 +23,8 @@ from ..signal.noise import white_noise
 from ..signal.paths import Geometry, PathTable
 from . import report
 from .beyond import beyond
-from .colored import port_covariance
+from .choice import accepted_of
+from .clearing import cleared, heard, standing_out
 from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .floor import Floor
@@ -158,9 +159,9 @@ class Nomp:
         """
         signal, energy = self.model.measured(signal)
         white = self.model.whiten(signal)
+        start = None
         if not energy:
             return report.empty(self, 0.0 if noise_variance is None else noise_variance)
-        start = None
         if prior is not None and len(prior):
             start = (prior.table if isinstance(prior, Detections) else prior).geometry
         if not self.dense_multipath:
@@ -201,7 +202,13 @@ class Nomp:
         efforts, spare = self._search.efforts, None
         due = np.inf if self.white or model.weight is not None or model.subbands > 1 else MANY
         clock = Clock.of(self.max_seconds)
-        while efforts and (lin is None or len(lin.gain) < self.max_paths) and not clock.over:
+        while efforts and not clock.over:
+            if lin is not None and len(lin.gain) >= self.max_paths:
+                told = cleared(self, white, lin, noise, lin.geometry.take([]), np.zeros(0), full=True)
+                if told is None:
+                    break
+                (data, lin, noise), spare = told, None
+                filtered = self._search.filtered(data)
             variance = noise.variance(lin)
             residual = filtered
             if lin is not None and model.subbands > 1:
@@ -215,10 +222,15 @@ class Nomp:
             found, statistic = self._credible(data, lin, variance, found, statistic)
             if endless and lin is not None:
                 due *= 2
-                noise = self._heard(model, white, lin, noise)
+                noise = heard(model, white, lin, noise)
                 if noise.ports is not None:
                     return data, lin, noise
-            accepted, more = self._accepted(model, found, statistic)
+            told = cleared(self, white, lin, noise, found, statistic)
+            if told is not None:
+                (data, lin, noise), spare = told, None
+                filtered = self._search.filtered(data)
+                continue
+            accepted, more = accepted_of(self, found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -238,13 +250,10 @@ class Nomp:
                 efforts.pop(0)
         limited = bool(efforts)
         if limited and lin is not None and due < np.inf:
-            noise = self._heard(model, white, lin, noise)
-        lin = self._pruned(data, lin, noise, clock) if noise.ports is None else lin
+            noise = heard(model, white, lin, noise)
+        if noise.ports is None:
+            lin = standing_out(self, data, self._pruned(data, lin, noise, clock), noise)
         return data, lin, replace(noise, limited=limited)
-
-    def _heard(self, model: SignalModel, white, lin: Linearization, noise: Noise) -> Noise:
-        """The noise with the covariance of the ports, if what paths leave is not white over them."""
-        return replace(noise, ports=port_covariance(model, white - signal_of(model, lin.blocks, lin.gain)))
 
     def _credible(self, data: Projector, lin: Linearization | None, variance: float, found: Geometry, statistic):
         """Candidates with statistics in terms of the noise about them, and those beyond the searched region where they
@@ -285,7 +294,7 @@ class Nomp:
         if len(lin.gain) > single:
             lin = self._fit(data, lin, noise, tolerance=3e-3)
         lin, spread = worthwhile(self, data, lin, spread, noise)
-        return report.detections(self, data, lin, noise.variance(lin), spread, noise.limited)
+        return report.detections(self, data, lin, noise.variance(lin), spread, noise.limited, noise.hazes)
 
     def _fit(
         self, data: Projector, start: Geometry | Linearization, noise: Noise, tolerance: float = 0.5
@@ -328,24 +337,6 @@ class Nomp:
         cells = self._search.projector(data, residual, lin, points)
         points, energies = separate_fit(cells, points, variance, self.level * variance, novel=fresh)
         return points, energies if fresh.min() > 0.9 else energies / novelty(data.model, points, known)
-
-    def _accepted(self, model: SignalModel, found: Geometry, statistic) -> tuple[Geometry, bool]:
-        """Candidates to take, and whether others may hide behind them (then one more pass is worth its time)."""
-        if not len(statistic):
-            return found, False
-        least = max(self.level, statistic[0] * 10 ** (-self.dynamic_range / 10))
-        strong = np.flatnonzero(statistic > least)
-        if not len(strong):
-            return found.take(strong), False
-        overlap = coherence(model, found)
-        taken = strong[distinct(overlap[np.ix_(strong, strong)], statistic[strong], len(strong), limit=0.25)]
-        # Another peak may rise above the threshold once a path it overlaps with is gone; coherence
-        # near one is the same peak.
-        leak = np.where(overlap[:, taken] < 0.8, overlap[:, taken] ** 2 * statistic[taken], -np.inf).min(axis=1)
-        leak[taken] = -np.inf
-        # A strong path keeps weak ones off the list of candidates altogether.
-        crowded = statistic[0] > 10 * self.level or statistic[-1] > self.level
-        return found.take(taken), bool(crowded or np.any(statistic + leak > self.level))
 
     def _eliminated(self, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
         """Remove components that are not worth the threshold, weakest first and all at once that do not overlap."""

@@ -17,6 +17,7 @@ from ..signal.paths import Geometry, tangent_jacobian
 from .detect import fitted_excess
 from .floor import Floor
 from .grids import View
+from .haze import Haze, raised
 from .misfit import misfit
 from .projector import Projector
 from .refine import Linearization, information, linearize
@@ -132,8 +133,11 @@ def detections(
     noise_variance: float,
     spread: Float | None = None,
     limited: bool = False,
+    hazes: tuple[Haze, ...] = (),
 ) -> Detections:
-    """Sorted by rho, in canonical form (and the gains solved for there); ``spread`` (P, 6, 6) of pairs (:mod:`~.pairs`)."""
+    """Sorted by rho, in canonical form (and the gains solved for there); ``spread`` (P, 6, 6) of pairs (:mod:`~.pairs`), and
+    ``hazes`` that paths may be in.
+    """
     model = data.model
     if not np.any(lin.drop > 0):
         return empty(estimator, noise_variance)
@@ -153,6 +157,7 @@ def detections(
     residue = misfit(lin, noise_variance, model.active)
     merged = residue.merged | np.any(spread, axis=(1, 2))
     tangent = residue.inflated(tangent) + spread
+    tangent = tangent * raised(model, hazes, geometry, noise_variance)[:, None, None]
     # A path's model error moves it as noise of that share of its energy would, spread over the mode it is in.
     errors = Floor(data, lin, noise_variance).errors()
     root = np.sqrt(1 + estimator.error_share * snr[:, None] + spread_of(model, errors) * snr[:, None])
