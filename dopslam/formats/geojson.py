@@ -135,7 +135,9 @@ def tree(run: Mapped, origin: Origin | None) -> dict:
         kind, spread = Kind(int(history.kind[row])), history.position_covariance[row]
         std = np.round(np.sqrt(np.maximum(np.diag(spread), 0.0)), 4).tolist()
         existence = round(float(history.existence[row]), 4)
-        features.append(feature(NAMES[kind], "Point", history.position[row][None], existence=existence, std_m=std))
+        features.append(
+            feature(NAMES.get(kind, kind.name), "Point", history.position[row][None], existence=existence, std_m=std)
+        )
     if history.steps > 1:
         features.append(feature("track", "LineString", run.position, time_s=run.time.tolist()))
     frame = "meters, world frame (x, y, z up)" if origin is None else "WGS 84"
