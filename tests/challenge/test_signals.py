@@ -135,7 +135,8 @@ def test_detections_score_as_they_were_made(suite, scenario, hidden, tmp_path, c
     assert good["strong_paths"] == paths * STEPS and good["found"]["value"] == pytest.approx((paths - 1) / paths)
     assert good["seconds_per_snapshot"] == 0.25
     assert all(0.7 < ratio["value"] < 1.35 for ratio in good["rmse_over_crb"].values())
-    assert 0.7 < good["nees_over_6"] < 1.35
+    assert 0.7 < good["nees_over_6"] < 1.35 and good["gross"] == 0.0
+    assert all(0.6 < ratio < 1.5 for ratio in good["median_over_crb"].values())
     doubled = [split["double"]["rmse_over_crb"][p]["value"] / r["value"] for p, r in good["rmse_over_crb"].items()]
     np.testing.assert_allclose(doubled, 2.0, rtol=0.15)
     assert split["untold"]["nees_over_6"] is None
