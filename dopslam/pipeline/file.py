@@ -248,7 +248,8 @@ def evaluate(
         group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
         if align:
             _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})
-        elif group in have:
+            continue
+        if group in have:
             bounds[name] = dataset.read_record(path, group, Bound)
         elif not _map_known(landmarks, paths):
             _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})

@@ -76,6 +76,9 @@ def test_from_three_lines_of_scenario_to_a_judged_track(measured, call, tmp_path
     assert summary["position_rmse_m"] < 0.1 and not summary["diverged"]
     assert summary["clock_bias_rmse_m"] is None and summary["peb_m"] is None and summary["gospa_va_m"] is None
     assert summary["nees_states"] == 3 and summary["nees"] < 9
+    assert call("evaluate", file, "--align", "--out", tmp_path / "aligned") == 0
+    moved = json.loads((tmp_path / "aligned" / "summary.json").read_text())
+    assert moved["position_rmse_m"] <= summary["position_rmse_m"] and moved["aligned"]["moved_m"] < 0.1
     assert call("bound", file) == 2  # without a true map there is none
     assert "GOSPA" not in (tmp_path / "report" / "table.txt").read_text().split("RMSE: root")[0]
 
