@@ -28,6 +28,7 @@ BEYOND = 1.4e-4  # of the right ones lie beyond the squared Mahalanobis distance
 GATE = chi2.isf(BEYOND, np.arange(1, ROWS + 1))  # by the number of rows that were measured, less one
 DECLARED = 0.5  # existence of a landmark from which it counts
 FEWEST = 5  # steps with measurements without the base station before anything is said
+PAIRS = 20_000  # of measurement and landmark that are looked at together
 NEWBORN = 2  # measurements of a new landmark before it is declared
 DEVIATIONS = 4.5  # of a number of measurements, or of a sum of squares, above its mean that are no accident
 ASTRAY = 0.4  # share of steps that show the line of sight at another length
@@ -61,57 +62,94 @@ class Explained:
 
 def explained(history: History, scans: Scans, station: Array, height: float) -> Explained:
     """Compare the measurements of every step with the state after it and the landmarks declared the step before."""
-    steps = history.steps
-    count, told, sighted, shifted, too_far = (np.zeros(steps, int) for _ in range(5))
-    distance, fresh = np.zeros(steps), np.zeros(steps, int)
-    known: set[int] = set()
-    for k in range(steps):
-        rows, mapped = scans.rows(k), history.rows(k)
-        declared = set(history.track[mapped][history.existence[mapped] > DECLARED].tolist())
-        fresh[k] = len(declared - known)
-        known |= declared
-        if rows.start == rows.stop:
-            continue
-        squared, in_direction = _distances(history, k, scans.z[rows], scans.covariance[rows], station, height)
-        nearest, measured = squared.min(axis=1), _measured(scans.covariance[rows])
-        gate = GATE[measured - 1]
-        near = nearest < gate
-        count[k], told[k] = near.sum(), measured[near].sum()
-        distance[k] = nearest[near].sum()
-        sighted[k] = np.any(squared[:, 0] < gate)
-        shifted[k] = not sighted[k] and np.any(in_direction < gate)
-        apart = np.hypot(np.linalg.norm(history.mean[k, :2] - station[:2]), height - station[2])
-        spread = np.sqrt(np.trace(history.covariance[k][:2, :2]) + history.covariance[k][3, 3])
-        too_far[k] = apart - 5.0 * spread > np.median(scans.z[rows, 0] - history.mean[k, 3])
-    measured = np.diff(scans.offsets)
-    return Explained(measured, count, told, sighted > 0, shifted > 0, distance, fresh, too_far > 0)
+    steps, measured = history.steps, np.diff(scans.offsets)
+    mapped = np.repeat(np.arange(steps), np.diff(history.map_offsets))  # step of every row of the map
+    declared = history.existence > DECLARED
+    fresh = np.bincount(mapped[declared][np.unique(history.track[declared], return_index=True)[1]], minlength=steps)
+    # A landmark whose departure is free explains anything that comes again, from whatever wrong place.
+    places = _Places(history, np.flatnonzero(declared & (history.kind <= SP)), mapped, station, height)
+    pairs = measured * (1 + np.bincount(mapped[places.row] + 1, minlength=steps + 1)[:steps])
+    block = np.cumsum(pairs) // PAIRS
+    parts = [_explained_of(places, scans, np.flatnonzero(block == b)) for b in np.unique(block)]
+    near, told, distance, sighted, shifted = (np.concatenate(part) for part in zip(*parts, strict=True))
+    apart = np.hypot(np.linalg.norm(history.mean[:, :2] - station[:2], axis=1), height - station[2])
+    spread = np.sqrt(np.trace(history.covariance[:, :2, :2], axis1=1, axis2=2) + history.covariance[:, 3, 3])
+    too_far = (measured > 0) & (apart - 5.0 * spread > _medians(scans) - history.mean[:, 3])
+    return Explained(measured, near, told, sighted, shifted & ~sighted, distance, fresh, too_far)
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """What a history says of where things are: `row` are the rows of landmarks in it, `mapped` the step of every row."""
+
+    history: History
+    row: NDArray[np.int64]
+    mapped: NDArray[np.int64]
+    station: Array
+    height: float
+
+
+def _explained_of(places: _Places, scans: Scans, steps: NDArray[np.int64]):
+    """Of a series of steps (S,): measurements near something, their measured rows, the sum of their squared distances, whether
+    one of them is near the base station, and whether one is in direction."""
+    rows = slice(scans.offsets[steps[0]], scans.offsets[steps[-1] + 1])
+    z, covariance = scans.z[rows], scans.covariance[rows]
+    of = np.repeat(np.arange(len(steps)), np.diff(scans.offsets)[steps])
+    predicted, own, first = _predicted(places, steps)
+    # every measurement with the base station and the landmarks of its step, the base station first
+    many = np.diff(first)[of]
+    start = np.cumsum(many) - many
+    which = np.repeat(first[of] - start, many) + np.arange(many.sum())
+    each = np.repeat(np.arange(len(z)), many)
+    off = residual(z[each], predicted[which])[:, :ROWS]
+    total = own[which] + covariance[each, :ROWS, :ROWS]
+    total = 0.5 * (total + total.swapaxes(-1, -2))
+    squared = _squared(off, total)
+    nearest = np.minimum.reduceat(squared, start) if len(z) else np.empty(0)
+    measured = _measured(covariance)
+    gate = GATE[measured - 1]
+    near, in_direction = nearest < gate, _squared(off[start, 1:], total[start, 1:, 1:]) < gate
+
+    def summed(values: Array) -> Array:
+        return np.bincount(of, values, minlength=len(steps))
+
+    counts = (summed(near).astype(int), summed(near * measured).astype(int))
+    return *counts, summed(near * nearest), summed(squared[start] < gate) > 0, summed(in_direction) > 0
+
+
+def _predicted(places: _Places, steps: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Predicted measurements (P, 6) and their covariances (P, 5, 5) without noise, of the base station and of the landmarks of
+    the step before, step by step, and (S + 1,) where each step begins."""
+    history, last = places.history, places.mapped[places.row] + 1
+    row = places.row[(last >= steps[0]) & (last <= steps[-1])]
+    owner = np.concatenate([steps, places.mapped[row] + 1])
+    order = np.argsort(owner, kind="stable")
+    count, owner = len(steps), owner[order]
+    position = np.vstack([np.broadcast_to(places.station, (count, 3)), history.position[row]])[order]
+    kind = np.concatenate([np.full(count, BS), history.kind[row]])[order]
+    spread = np.concatenate([np.zeros((count, 3, 3)), history.position_covariance[row]])[order]
+    told = (history.mean[owner], position, kind, places.station)
+    by_state, by_landmark = (part[..., :ROWS, :] for part in jacobians(*told, height=places.height))
+    own = by_state @ history.covariance[owner] @ by_state.swapaxes(-1, -2)
+    own = own + by_landmark @ spread @ by_landmark.swapaxes(-1, -2)
+    first = np.searchsorted(owner, np.append(steps, steps[-1] + 1))
+    return measure(*told, height=places.height), own, first
+
+
+def _medians(scans: Scans) -> Array:
+    """(K,) medians of the path lengths of every scan; not a number where there is none."""
+    count, start = np.diff(scans.offsets), scans.offsets[:-1]
+    length = scans.z[:, 0][np.lexsort((scans.z[:, 0], np.repeat(np.arange(scans.steps), count)))]
+    some = count > 0
+    result = np.full(scans.steps, np.nan)
+    middle = 0.5 * (length[(start + (count - 1) // 2)[some]] + length[(start + count // 2)[some]])
+    result[some] = middle
+    return result
 
 
 def _measured(covariance: Array) -> NDArray[np.int64]:
     """(M,) rows that tell anything, of those that are looked at; the delay always does."""
     return 1 + np.sum(np.einsum("nii->ni", covariance)[:, 1:ROWS] < UNSEEN[1:ROWS], axis=1)
-
-
-def _distances(
-    history: History, k: int, z: Array, covariance: Array, station: Array, height: float
-) -> tuple[Array, Array]:
-    """Squared Mahalanobis distances (M, 1 + L) to base station and landmarks, and (M,) those of the angles to the former."""
-    before = history.rows(k - 1) if k else slice(0, 0)
-    # A landmark whose departure is free explains anything that comes again, from whatever wrong place.
-    declared = (history.existence[before] > DECLARED) & (history.kind[before] <= SP)
-    position = np.vstack([station[None], history.position[before][declared]])
-    kind = np.concatenate([[BS], history.kind[before][declared]])
-    spread = np.concatenate([np.zeros((1, 3, 3)), history.position_covariance[before][declared]])
-    state = history.mean[k][None]
-    predicted = measure(state, position, kind, station, height=height)
-    by_state, by_landmark = (part[..., :ROWS, :] for part in jacobians(state, position, kind, station, height=height))
-    own = by_state @ history.covariance[k] @ by_state.swapaxes(-1, -2) + by_landmark @ spread @ by_landmark.swapaxes(
-        -1, -2
-    )
-    off = residual(z[:, None], predicted[None])[..., :ROWS]
-    total = own[None] + covariance[:, None, :ROWS, :ROWS]
-    total = 0.5 * (total + total.swapaxes(-1, -2))
-    return _squared(off, total), _squared(off[:, 0, 1:], total[:, 0, 1:, 1:])
 
 
 def _squared(off: Array, covariance: Array) -> Array:
