@@ -135,6 +135,11 @@ def test_all_keys_that_are_missing_are_named():
         parse("[track]\nspeed = 1\n")
 
 
+def test_a_scenario_of_measured_detections_is_told_where_it_goes():
+    with pytest.raises(ConfigError, match="dopslam import TABLE --scene PATH"):
+        parse('name = "mine"\n[base_station]\nposition = [0.0, 5.0, 2.5]\n')
+
+
 def test_every_key_is_listed_with_its_range(call, capsys):
     listed = {key.name: key for key in reference.listed()}
     assert listed["track.speed"].allowed == "number from 0 to 100000"

@@ -25,6 +25,10 @@ from dopslam.config.sections import Sections
 from dopslam.config.sentences import sentence
 from dopslam.errors import ConfigError
 
+WITHOUT_SCENE = (
+    "; where nobody traces, for detections of one's own, a base station is enough: dopslam import TABLE --scene PATH"
+)
+
 
 class Scenario(Sections):
     """A whole scenario: scene, radio, motion, detection source, estimator and filter."""
@@ -125,7 +129,8 @@ def parse(
         full = {k: getattr(given, k).model_copy(update=v) for k, v in derived.items()}
         scenario = Scenario.model_validate(given.model_copy(update=full).model_dump()) if full else given
     except ValidationError as error:
-        raise ConfigError(f"{source}: {sentence(error, Scenario)}") from error
+        hint = "" if "scene" in tree or "base_station" not in tree else WITHOUT_SCENE
+        raise ConfigError(f"{source}: {sentence(error, Scenario)}{hint}") from error
     scenario._folder, scenario._derived = folder, derived
     return scenario
 
