@@ -24,7 +24,7 @@ def make(
     seeds: int = 2,
     steps: int = 20,
     first: int | None = None,
-    signals: bool = False,
+    signal: bool = False,
     jobs: int | None = None,
 ) -> None:
     """Make a suite: scenes x drives x noise levels, detections as files with checksums, the truth in a folder apart.
@@ -44,7 +44,7 @@ def make(
     first
         Seed of the first test scene. The default suite is the same for everyone, so that its truth can be remade by whoever
         has this program; a seed of your own, kept to yourself, makes a test half that nobody knows.
-    signals
+    signal
         The first drive through every scene with its received signal too, for estimators: about 25 MB a snapshot over the
         five kinds, in either split.
     jobs
@@ -61,7 +61,7 @@ def make(
     seeds_of = FIRST_SCENE if first is None else {DEVELOP: FIRST_SCENE[DEVELOP], TEST: first}
     apart = out.with_name(f"{out.name}-truth") if truth is None else truth
     with _bars() as progress:
-        made = write(out, apart, plan(scenes, seeds, seeds_of), steps, worker_count(jobs), progress, signals)
+        made = write(out, apart, plan(scenes, seeds, seeds_of), steps, worker_count(jobs), progress, signal)
     Console(highlight=False, soft_wrap=True, markup=False).print(
         f"{out}: {len(made['cases'])} cases; truth in {apart}; next: dopslam benchmark run {out} --filter joint"
     )
@@ -85,7 +85,7 @@ def run(
     filters
         One or several, repeated or with commas, own ones as file.py:Class. Default joint.
     estimator
-        Begin at the signals (a suite made with --signals): nomp, sage, … or one of your own as file.py:Class. Its detections are
+        Begin at the signals (a suite made with --signal): nomp, sage, … or one of your own as file.py:Class. Its detections are
         an answer, and with --filter the maps that the filters make of them.
     out
         Folder for <filter>.csv, <estimator>.csv, <estimator>+<filter>.csv.

@@ -174,7 +174,7 @@ def test_an_own_estimator_and_filter_run_from_the_signal_to_the_board(suite, tmp
 
 def test_a_suite_without_signals_says_how_to_make_one(tmp_path):
     (tmp_path / "suite.json").write_text(json.dumps({"format": 1, "cases": [{"name": "a", "split": "test"}]}))
-    with pytest.raises(DatasetError, match="benchmark make --signals"):
+    with pytest.raises(DatasetError, match="benchmark make --signal"):
         signals.estimated(tmp_path, "nomp")
 
 

@@ -36,10 +36,10 @@ MEANINGS = {
     "--height": ("float", "of new, m"), "--wall": ("str", "of new"), "--keep-signal": ("bool", "of run"),
     "--visibility": ("str", "of bound"), "--information": ("Literal", "of bound"), "--contributions": ("Path", "of bound"),
     "--plan": ("Path", "of sweep"), "--results": ("Path", "of view, a folder or a file in it"), "--open": ("bool", "of view"), "--serve": ("bool", "of view"), "--positions": ("int", "of dataset"),
-    "--resume": ("bool", "of dataset"), "--signal": ("bool", "of dataset"), "--detections": ("bool", "of dataset"),
+    "--resume": ("bool", "of dataset"), "--signal": ("bool", "the received signal is kept too"), "--detections": ("bool", "of dataset"),
     "--path": ("str", "of check"), "--table": ("Path", "of import"), "--map": ("Path", "of import"),
     "--track": ("Path", "of import"), "--to": ("str", "of export"), "--format": ("str", "of import"), "--drive": ("int", "of export"), "--origin": ("str", "of export, latitude and longitude"),
-    "--prefix": ("str", "of keys"),
+    "--prefix": ("str", "of keys"), "--align": ("bool", "of evaluate"), "--estimator": ("str", "of benchmark run"),
 }  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def estimated(
     """
     cases = [case for case in chosen(suite, split) if "signal" in case]
     if not cases:
-        raise DatasetError(f"{suite}: holds no signals; 'dopslam benchmark make --signals' makes a suite that does")
+        raise DatasetError(f"{suite}: holds no signals; 'dopslam benchmark make --signal' makes a suite that does")
     verify(suite, None, [case["signal"] for case in cases])
     verify(suite, None, cases)  # times are those of the detections
     out, failed = io.StringIO(), {}
