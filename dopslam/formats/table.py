@@ -243,7 +243,7 @@ def detections(
 def _tells(get: dict[str, np.ndarray]) -> np.ndarray:
     """(N,) rows that measured anything; others say that a snapshot found nothing."""
     measured = [get[name] for name in (*QUANTITIES, "doppler") if name in get]
-    return np.isfinite(measured).any(axis=0)
+    return np.any(np.isfinite(measured), axis=0)
 
 
 def _widths(z: np.ndarray, scenario: Scenario) -> list[float]:

@@ -7,6 +7,7 @@ no hypothesis gains by a quantity that nobody saw.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 WIDE = 100.0  # standard deviation over the width that is searched, times √(2π)
 
@@ -31,10 +32,10 @@ def planar(variance: np.ndarray) -> bool:
     return bool(len(variance)) and bool((variance[:, [2, 4]] > UNSEEN[[2, 4]]).all())
 
 
-def delay_width(search_volume: float, doppler_span: float, used: np.ndarray) -> float:
+def delay_width(search_volume: float, doppler_span: float, used: ArrayLike) -> float:
     """Width [m] over which delays are searched, from the volume of all six quantities and which of them (6,) are measured."""
     spans = np.append(SPANS[1:5], doppler_span)
-    return max(search_volume / float(np.prod(spans * np.where(used[1:], 1.0, WIDE))), 1e-3)
+    return max(search_volume / float(np.prod(spans * np.where(np.asarray(used)[1:], 1.0, WIDE))), 1e-3)
 
 
 def volume(widths: np.ndarray, missing: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from dopslam.models.measurement import BS, SP, jacobians, measure, residual
@@ -110,8 +110,8 @@ def _explained_of(places: _Places, scans: Scans, steps: NDArray[np.int64]):
     gate = GATE[measured - 1]
     near, in_direction = nearest < gate, _squared(off[start, 1:], total[start, 1:, 1:]) < gate
 
-    def summed(values: Array) -> Array:
-        return np.bincount(of, values, minlength=len(steps))
+    def summed(values: ArrayLike) -> Array:
+        return np.asarray(np.bincount(of, np.asarray(values, float), minlength=len(steps)), float)
 
     counts = (summed(near).astype(int), summed(near * measured).astype(int))
     return *counts, summed(near * nearest), summed(squared[start] < gate) > 0, summed(in_direction) > 0

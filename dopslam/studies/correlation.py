@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from dopslam.pipeline.stages import Progress, quiet
 from dopslam.slam.belief.conditional.filter import Conditional
 from dopslam.slam.belief.filter import Belief
 from dopslam.slam.belief.records import Assumptions, Form
-from dopslam.slam.filter import Filter
 from dopslam.studies.bp_cases import CASES
 from dopslam.studies.bp_study import one_run, summary
 from dopslam.studies.traced import NOISES, largest_order, prepare
@@ -111,7 +110,7 @@ def traced(
     return {name: _pooled(found) for name, found in runs.items()}
 
 
-def _variant(scenario: Scenario, name: str) -> Filter:
+def _variant(scenario: Scenario, name: str) -> Any:
     """The filter of a variant with the choices of the scenario."""
     if name == "joint":
         return build.chosen_filter(scenario, "joint")

@@ -128,6 +128,9 @@ class Model(NamedTuple):
     memory: float
 
 
+OUTLIER = 20.0  # times as likely as a birth is a distorted detection of a landmark within a resolution cell
+
+
 @dataclass(frozen=True, slots=True)
 class FilterParameters:
     """Choices of the EK-PMB recursion; defaults follow the reference figures of paper A's scenario.
@@ -218,7 +221,7 @@ class FilterParameters:
     hide: float = 0.05
     reappear: float = 0.1
     robust: float = 10.0
-    outlier: float = 20.0
+    outlier: float = OUTLIER
     inform: bool = True
     lazy: bool = True
     planar: bool = False

@@ -17,12 +17,10 @@ from dopslam.slam.filter import Capabilities, Info, Problem, run_steps
 from dopslam.slam.history import Diagnostics, History, estimate_of
 from dopslam.slam.pmb import ek_pmb, mixture, smoother
 from dopslam.slam.pmb.birth import STOREYS
-from dopslam.slam.pmb.density import PMB, FilterParameters, Model, compile_model, initial_density, predicted
+from dopslam.slam.pmb.density import OUTLIER, PMB, FilterParameters, Model, compile_model, initial_density, predicted
 
 OPEN_HEADING = 0.1  # rad per step of process noise, beyond which a heading says little of the next
 MANY = 100  # associations that are then kept
-
-
 EXPECTED = 10.0  # landmarks of a kind thought possible where the detections can come from
 
 
@@ -107,7 +105,7 @@ class Joint:
             intensity=(*intensity.tolist(), second),
             birth_intensity=problem.births,
             detection=problem.detection_of(scans),
-            **({} if scans.cells else {"outlier": 0.0}),
+            outlier=OUTLIER if scans.cells else 0.0,
             planar=planar,
         )
 

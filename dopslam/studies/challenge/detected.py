@@ -79,7 +79,7 @@ def _figures(matches: dict[str, list[Match]], told: bool, seconds: dict[str, flo
     rho = np.concatenate([m.rho for m in pooled])
     strong = rho >= 10 ** (STRONG_DB / 10)
     detected = np.concatenate([m.detected for m in pooled])[strong]
-    times = [seconds[name] for name in matches if seconds[name] is not None]
+    times = [taken for name in matches if (taken := seconds[name]) is not None]
     accurate = summary is not None and summary.associations > 0
     return {
         "answered": len(matches),

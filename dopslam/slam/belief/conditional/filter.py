@@ -85,9 +85,9 @@ class Conditional:
     @cached_property
     def _choices(self) -> compiled.Choices:
         p = self.parameters
-        numbers = (p.survival, p.return_probability, p.type_switch, p.position_walk, p.amplitude_walk)
         return compiled.Choices(
-            np.array(p.anchor, float), self._table, 3 if p.spatial else 2, len(p.types), *map(float, numbers),
+            np.array(p.anchor, float), self._table, 3 if p.spatial else 2, len(p.types), float(p.survival),
+            float(p.return_probability), float(p.type_switch), float(p.position_walk), float(p.amplitude_walk),
             bool(p.rescale_covariance), int(self.iterations), float(self.pair_gate), float(self.gate), float(self.hide),
             float(self.unhide), float(self.double), float(self.prune_type * p.pruning_threshold),
         )  # fmt: skip
@@ -161,6 +161,7 @@ class Conditional:
 
     def _centers(self, belief: Belief, moved, covariance, noise):
         """Centers (N, d) and covariance (d, d) of the components of the predicted density, one per particle."""
+        assert belief.points is not None
         active, h = belief.active, self.kernel
         mean = belief.mean[active]
         whole = np.tile(belief.mean, (len(belief.points), 1))

@@ -339,7 +339,7 @@ def pruned(chart, feature_threshold, type_share):
     total = chart.form.shape[0]
     rows, ends, kept = np.empty(total, dtype=np.int64), np.empty(chart.first.shape[0], dtype=np.int64), 0
     features = 0
-    label = np.empty(chart.label.shape[0], dtype=chart.label.dtype)
+    label = np.empty(chart.label.shape[0], dtype=np.int64)
     ends[0] = 0
     for k in range(chart.first.shape[0] - 1):
         exists, before = 0.0, kept
