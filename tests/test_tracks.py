@@ -96,7 +96,7 @@ def test_tracks_from_a_file(tmp_path):
     [
         ("x,y\n1,2\n", "needed are time"),
         ("time,x,y\n", "needed are time"),
-        ("time,x,y\n0,1\n", "numbers"),
+        ("time,x,y\n0,1\n", "row 1 has 2 cells"),
         ("time,x,y\n0,1,nan\n", "row 1.*non-finite"),
         ("time,x,y\n1,1,1\n0,1,1\n", "must rise"),
         ("time,x,y\n1,1,drei\n", "numbers"),
