@@ -18,6 +18,8 @@ from dopslam.filters import FILTERS
 from dopslam.pipeline import ahead, stages
 from estimation import jit
 
+pytestmark = pytest.mark.proc
+
 CALLEE = """
 from pathlib import Path
 from typing import NamedTuple

@@ -622,6 +622,7 @@ def material(tmp_path_factory):
     return make_material(tmp_path_factory.mktemp("material"))
 
 
+@pytest.mark.mc
 @pytest.mark.parametrize("kind", list(ATTACKS))
 def test_attacks_end_well_or_in_one_line(material, kind):
     wrong = []

@@ -11,6 +11,8 @@ import pytest
 from dopslam.cli.doctor import doctor
 from dopslam.datasets.drives import _listed
 
+pytestmark = pytest.mark.proc
+
 ODD = "snow ❄ [b]x[/b] %s {0} 'q' é"
 CODE = """
 import sys

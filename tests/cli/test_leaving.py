@@ -10,6 +10,8 @@ import pytest
 
 from dopslam.cli import failure, main
 
+pytestmark = pytest.mark.proc
+
 
 def leave(*tokens):
     with pytest.raises(SystemExit) as raised:

@@ -121,6 +121,7 @@ def test_notes_stand_behind_the_sentence():
     assert failure.sentence(error) == "broken; kept in x"
 
 
+@pytest.mark.proc
 def test_interrupt_is_one_line():
     code = "from dopslam.cli import main; main(['montecarlo', 'ring_road', '--runs', '100000', '--jobs', '1'])"
     process = subprocess.Popen(

@@ -64,7 +64,7 @@ def scheduler(tmp_path_factory):
             process.wait()
 
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # those of dask and tornado are not ours
+pytestmark = [pytest.mark.proc, pytest.mark.filterwarnings("ignore")]  # those of dask and tornado are not ours
 
 
 def test_a_study_gives_the_same_numbers_on_two_dask_workers(scheduler):

@@ -102,6 +102,7 @@ SMALL = [
 ]  # fmt: skip
 
 
+@pytest.mark.proc
 def test_signal_and_detections_are_the_same_for_any_shards_and_workers(worker, tmp_path):
     first = worker.make(tmp_path / "a", 8, settings=SMALL, signal=True, detections=True)
     assert worker.make(tmp_path / "b", 8, settings=SMALL, signal=True, detections=True, jobs=2).sha256 == first.sha256
@@ -118,6 +119,7 @@ def start(program, folder, *options):
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)
 
 
+@pytest.mark.proc
 def test_killed_at_random_moments_it_ends_with_the_same_hash(made, program, worker, tmp_path):
     folder, rng, killed = tmp_path / "d", np.random.default_rng(6), 0
     for _ in range(3):
@@ -136,6 +138,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_hash(made, program, work
     assert check(folder) == []
 
 
+@pytest.mark.proc
 def test_two_processes_share_a_folder(made, program, tmp_path):
     folder = tmp_path / "d"
     pair = [start(program, folder, "--slow", "0.1") for _ in range(2)]

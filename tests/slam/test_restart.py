@@ -31,6 +31,7 @@ def errors(history, states):
     return np.hypot(*metrics.state_errors(history.mean[:, :4], states)[:, :2].T)
 
 
+@pytest.mark.mc
 @pytest.mark.parametrize("name", ["joint", "smoother", "marginal", "mixture", "bp", "interval"])
 def test_a_wrong_start_is_mended_whichever_filter_had_it(ring, name):
     _, states, scans, problem = ring
