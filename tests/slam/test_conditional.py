@@ -338,9 +338,8 @@ def test_a_hidden_feature_is_not_given_up_at_once():
     assert existence[0.0] < 0.1
 
 
-def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
-    """A copy of a wall's virtual anchor beside it, from outliers: the wall's detections speak against it, though something
-    may hide a feature; a copy elsewhere is not touched by them."""
+def half_way():
+    """A filter, 60 scans, its state after 30 of them, and the virtual anchor of the wall."""
     experiment = Experiment(steps=60)
     _, scans, _ = draw(experiment, np.random.default_rng(11))
     filter_ = small(experiment, types=(Form.VA_AOD, Form.PS))
@@ -348,7 +347,14 @@ def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
     state = filter_.init(*informed_start(rng, Box(experiment.start), scans[0], filter_.parameters, 0.1, 500), 30.0)
     for scan in scans[:30]:
         state, _ = filter_.step(rng, state, scan)
-    chart, wall = state.map, experiment.features[0]
+    return filter_, scans, state, experiment.features[0]
+
+
+def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
+    """A copy of a wall's virtual anchor beside it, from outliers: the wall's detections speak against it, though something
+    may hide a feature; a copy elsewhere is not touched by them."""
+    filter_, scans, state, wall = half_way()
+    chart = state.map
     row = int(np.argmin(np.linalg.norm(chart.center - wall, axis=1)))
     block = chart.spread[3 * row : 3 * row + 3, 3 * row : 3 * row + 3]
     two = chart.center[row] + np.array([[0.25, 0.1, 0], [25.0, 30.0, 0]])
@@ -374,14 +380,8 @@ def test_of_two_features_of_one_path_the_one_that_is_seen_is_left():
 def test_what_is_too_weak_to_be_seen_is_not_given_up_for_what_is_seen_beside_it():
     """A wall's virtual anchor and a copy beside it, seen last when it was near enough: the wall's detections in its cell do not
     speak against it, while they do against one that should be as strong as they are."""
-    experiment = Experiment(steps=60)
-    _, scans, _ = draw(experiment, np.random.default_rng(11))
-    filter_ = small(experiment, types=(Form.VA_AOD, Form.PS))
-    rng = np.random.default_rng(5)
-    state = filter_.init(*informed_start(rng, Box(experiment.start), scans[0], filter_.parameters, 0.1, 500), 30.0)
-    for scan in scans[:30]:
-        state, _ = filter_.step(rng, state, scan)
-    chart, wall = state.map, experiment.features[0]
+    filter_, scans, state, wall = half_way()
+    chart = state.map
     row = int(np.argmin(np.linalg.norm(chart.center - wall, axis=1)))
     at = slice(3 * row, 3 * row + 3)
     left = {}

@@ -16,6 +16,7 @@ from dopslam.pipeline import link
 from dopslam.records import DetectionSeries, Paths, Track, edges_of
 from dopslam.store import file as dataset
 from dopslam.studies.challenge import make
+from dopslam.studies.challenge.board import Rows, board_of, table_of
 from dopslam.studies.challenge.make import SIGNAL
 from dopslam.studies.challenge.score import manifest_of, verify
 from dopslam.studies.challenge.signals import header
@@ -172,7 +173,7 @@ def _number(path: Path, line: int, row: dict, column: str, optional: bool) -> fl
     return value
 
 
-def _rows() -> list:
+def _rows() -> Rows:
     def ratio(parameter: str):
         def cell(split: dict) -> str:
             found, usual = split["rmse_over_crb"], split["median_over_crb"]
@@ -203,18 +204,11 @@ def _rows() -> list:
 
 def table(result: dict) -> Table:
     """One answer: a column for every split."""
-    splits = {name: s for name, s in result["splits"].items() if s["answered"]}
-    shown = Table("", *splits, box=None, pad_edge=False, title=result["method"], title_justify="left")
-    for column in shown.columns[1:]:
-        column.justify = "right"
-    for label, cell in _rows():
-        shown.add_row(label, *(cell(s) for s in splits.values()))
-    shown.caption_justify = "left"
-    shown.caption = (
+    caption = (
         "RMSE over the root of the Cramér–Rao bound where ρ > 18 dB (in brackets the median error over the bound's); "
         "gross: beyond six times the bound."
     )
-    return shown
+    return table_of(result, _rows(), caption)
 
 
 def board(results: list[dict]) -> str:
@@ -225,14 +219,4 @@ def board(results: list[dict]) -> str:
     DatasetError
         If the answers are not to the same suite.
     """
-    suites = {result["suite_sha256"] for result in results}
-    if len(suites) != 1:
-        raise DatasetError(f"board: answers to {len(suites)} different suites; score them on one")
-    lines, titles = [], [label for label, _ in _rows()]
-    for split in results[0]["splits"]:
-        answered = [r for r in results if r["splits"][split]["answered"]]
-        ranked = sorted(answered, key=lambda r: -(r["splits"][split]["found"] or {"value": 0.0})["value"])
-        lines += [f"## {split}", "", f"| method | {' | '.join(titles)} |", f"|---|{'---|' * len(titles)}"]
-        lines += [f"| {r['method']} | {' | '.join(cell(r['splits'][split]) for _, cell in _rows())} |" for r in ranked]
-        lines.append("")
-    return "\n".join([*lines, f"Suite: sha256 of its suite.json `{suites.pop()}`."]) + "\n"
+    return board_of(results, _rows(), lambda split: -(split["found"] or {"value": 0.0})["value"])
