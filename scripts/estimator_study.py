@@ -4,6 +4,7 @@
 python scripts/estimator_study.py --json study.json                       # accuracy of all estimators
 python scripts/estimator_study.py --json study.json --study all --figures figures
 python scripts/estimator_study.py --json study.json --study resolution --snapshots 40
+python scripts/estimator_study.py --json study.json --study off_model --case clean "positions 0.01" --snapshots 50
 
 Studies are added to those that the JSON file holds already, so that a long list can be run in pieces; --draw only draws.
 """
@@ -33,6 +34,7 @@ STUDIES = (
     "swept",
     "random_links",
     "wrong_model",
+    "off_model",
 )
 
 
@@ -52,6 +54,7 @@ def main() -> None:
         default=[-20, -10, 0, 10, 20],
         help="per-sample SNR of the strongest path [dB]",
     )
+    parser.add_argument("--case", nargs="+", help="of off_model; default all of estimation.offmodel.CASES")
     parser.add_argument("--figures", type=Path, help="folder for figures; none are drawn without it")
     parser.add_argument("--draw", action="store_true", help="run nothing, draw what the JSON file holds")
     options = parser.parse_args()
@@ -62,8 +65,8 @@ def main() -> None:
     for name in [] if options.draw else chosen:
         result = run_study(name, options)
         show(name, result)
-        # Estimators may be run one at a time.
-        results[name] = results.get(name, {}) | result if name == "accuracy" else result
+        # Estimators and cases may be run one at a time.
+        results[name] = results.get(name, {}) | result if name in ("accuracy", "off_model") else result
     options.json.parent.mkdir(parents=True, exist_ok=True)
     # The accuracy figures of each estimator also stand at the top level, by its name.
     top = {
@@ -109,6 +112,10 @@ def run_study(name: str, options):
         from estimation import random_links
 
         return random_links.right_model(50, count) if name == "random_links" else random_links.wrong_model(count)
+    if name == "off_model":
+        from estimation.offmodel import CASES, off_model
+
+        return off_model(range(1000, 1000 + count), options.case or CASES)
     return studies.speed()
 
 
@@ -133,6 +140,13 @@ def show(name: str, result) -> None:
                 f"  {r['link']:3d} {tuple(r['shape'])!s:22s} "
                 + " ".join(f"{v:.2f}" for v in r["rmse_over_crb"].values())
                 + f"  NEES/6 {r['nees_over_6']:.2f}  false {r['false_per_snapshot']:.3f}  found {r['found']:.3f}"
+            )
+    elif name == "off_model":
+        for case, r in result.items():
+            print(
+                f"  {case:22s} ghosts {r['ghosts_per_snapshot']:5.2f} (most {r['most_ghosts']})  {r['seconds']:5.2f} s"
+                f" (most {r['most_seconds']:.2f})  NEES/6 {r['nees_over_6']:5.2f} (median {r['nees_median']:.2f})"
+                f"  found {r['found']:.3f}, strong ones {r['strong_found']:.3f}"
             )
     else:
         print("  " + json.dumps(result)[:1500])
