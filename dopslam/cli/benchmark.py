@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from dopslam.cli.common import Filters, filter_names, worker_count
-
-if TYPE_CHECKING:
-    pass
+from dopslam.cli.common import Filters, filter_names, told_of_compiling, worker_count
 
 benchmark = App(name="benchmark", help="A frozen suite of detections: make it, run filters on it.")
 
@@ -116,6 +112,7 @@ def run(
         leave(own, text)
         for name, text in maps.items():
             leave(f"{own}+{name.rpartition(':')[2]}", text)
+        told_of_compiling(console, filter_names(filters))
         return
     for name in filter_names(filters) or ["joint"]:
         with _bars() as progress:
@@ -123,6 +120,7 @@ def run(
         for case, why in failed.items():
             console.print(f"failed: {case}: {why}")
         leave(name.rpartition(":")[2], text)
+    told_of_compiling(console, filter_names(filters) or ["joint"])
 
 
 def _bars():
