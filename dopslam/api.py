@@ -116,14 +116,20 @@ def slam(problem: Problem, detections: DetectionSeries, chosen: Filter | str, se
 
 
 def bound(
-    problem: Problem, truth: Truth, detections: DetectionSeries, doppler: bool = True, smoothed: bool = False
+    problem: Problem,
+    truth: Truth,
+    detections: DetectionSeries,
+    doppler: bool = True,
+    smoothed: bool = False,
+    lag: int | None = None,
 ) -> Bound:
     """Posterior Cramér–Rao bound (17) of this run: the true track, the detections with their R, the true association.
 
-    ``smoothed`` bounds every step by the detections of the whole run, for filters that read it before they answer.
+    ``smoothed`` bounds every step by the detections of the whole run, for filters that read it before they answer, or, with
+    ``lag``, by those up to so many steps later.
     """
     run = truth.scenario, truth.track, truth.landmarks, truth.paths
-    return stages.bound(*run, detections, doppler, smoothed, problem)
+    return stages.bound(*run, detections, doppler, smoothed, problem, lag=lag)
 
 
 @dataclass(frozen=True)

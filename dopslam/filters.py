@@ -15,6 +15,7 @@ _OWN = {
     "joint": "dopslam.slam.pmb.filters:Joint",
     "marginal": "dopslam.slam.pmb.filters:Marginal",
     "smoother": "dopslam.slam.pmb.filters:Smoother",
+    "lagged": "dopslam.slam.pmb.filters:Lagged",
     "mixture": "dopslam.slam.pmb.filters:Mixture",
     "bp": "dopslam.slam.belief.filter:Belief",
     "batch": "dopslam.slam.batch.filter:Batch",

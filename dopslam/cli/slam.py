@@ -35,7 +35,7 @@ def slam(
         One or several, repeated or with commas: joint keeps the cross-covariances of receiver and map, marginal drops
         them as paper A does, smoother adds a fixed lag of filter.lag steps to joint, mixture keeps filter.hypotheses
         global hypotheses, bp is the belief propagation of paper B, batch smooths the whole run over all detections,
-        interval smooths joint over the whole run on its own associations;
+        interval smooths joint over the whole run on its own associations, lagged is the smoother asked filter.lag steps later;
         module:Class is one of your own. Default the
         scenario's filter.density.
     doppler_std

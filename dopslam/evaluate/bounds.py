@@ -133,6 +133,7 @@ def pcrb(
     height: float = 0.0,
     doppler: bool = True,
     smoothed: bool = False,
+    lag: int | None = None,
     pace: Array | None = None,
 ) -> Bound:
     """Recursion (17) at given true states.
@@ -150,6 +151,7 @@ def pcrb(
     height : m, of the receiver's plane
     doppler : bool; False drops the Doppler row
     smoothed : bool; bound every step by the detections of the whole run instead of those up to it
+    lag : with `smoothed`: only those up to so many steps later count
     pace : (K,) array; time since the step before, in periods of the motion model; default 1
 
     Returns
@@ -184,7 +186,7 @@ def pcrb(
         seen=detected[:, free] > 0,
     )
     landmark = np.full((steps, count, 3, 3), np.nan)
-    ue, landmark[:, free] = smoothing(run) if smoothed else filtering(run)
+    ue, landmark[:, free] = smoothing(run, lag) if smoothed else filtering(run)
     return Bound(ue, landmark)
 
 
@@ -198,6 +200,7 @@ def situation_bound(
     visibility: float | None = None,
     weight_by_probability: bool = False,
     smoothed: bool = False,
+    lag: int | None = None,
 ) -> Bound:
     """Bound of a simulated world.
 
@@ -212,8 +215,8 @@ def situation_bound(
         Range [m] within which SPs are visible when `detected` is not given; None: all visible.
     weight_by_probability : bool
         Scale the information by p_D instead of a mask (2 % optimistic).
-    smoothed : bool
-        Bound every step by the whole run.
+    smoothed, lag : bool, int or None
+        As of :func:`pcrb`.
     """
     states = nominal_track(situation) if states is None else states
     covariance, probability, _ = noise_of(situation, states)
@@ -239,6 +242,7 @@ def situation_bound(
         height=situation.height,
         doppler=doppler,
         smoothed=smoothed,
+        lag=lag,
     )
 
 

@@ -8,8 +8,8 @@ landmarks that stand still and have no prior information. Nothing here is invert
   This departs from (17), whose `Q⁻¹` and `P₀⁻¹` need not exist, and agrees with it where they do;
 * landmarks seen from too few rows have infinite bounds in the directions that nothing tells about.
 
-`filtering` bounds the estimates of step k from the measurements up to k; `smoothing` from those of the whole run. The
-latter adds to the forward information of a step the backward information of all later ones, which is what the
+`filtering` bounds the estimates of step k from the measurements up to k; `smoothing` from those of the whole run, or of
+some steps more. The latter adds to the forward information of a step the backward information of all later ones, which is what the
 elimination of the block-tridiagonal information matrix of the whole run from both its ends leaves (Rauch, Tung and
 Striebel's smoother in information form; Fraser and Potter 1969).
 """
@@ -102,20 +102,26 @@ def filtering(run: LinearizedRun) -> tuple[Array, Array]:
     return _blocks(run, _forward(run), known)
 
 
-def smoothing(run: LinearizedRun) -> tuple[Array, Array]:
-    """Bounds of what the measurements of the whole run tell about step k; shapes as of `filtering`.
+def smoothing(run: LinearizedRun, lag: int | None = None) -> tuple[Array, Array]:
+    """Bounds of what the measurements of the whole run tell about step k, or those up to step k + `lag`; shapes as of
+    `filtering`.
 
-    The landmarks stand still: their bounds are the same at every step, save for rounding.
+    The landmarks stand still: from the whole run their bounds are the same at every step, save for rounding.
     """
     steps = len(run.state)
     parts = list(_forward(run))
     later = np.zeros((run.size, run.size))
     for k in reversed(range(steps)):
+        if lag is not None:
+            later = np.zeros((run.size, run.size))
+            for j in range(min(k + lag, steps - 1), k, -1):
+                later = _pulled_back(later + run.information(j), run.transition[j], run.noise[j])
         basis, information = parts[k]
         parts[k] = basis, information + _restricted(later, basis)
-        if k:
+        if lag is None and k:
             later = _pulled_back(later + run.information(k), run.transition[k], run.noise[k])
-    known = np.broadcast_to(run.seen.any(axis=0), run.seen.shape)
+    last = np.arange(steps) + (steps if lag is None else lag)
+    known = np.logical_or.accumulate(run.seen, axis=0)[np.minimum(last, steps - 1)]
     return _blocks(run, iter(parts), known)
 
 

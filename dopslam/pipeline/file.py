@@ -144,8 +144,9 @@ def _group(kind: str, variant: str) -> str:
     return f"{kind}_{name}" + ("" if doppler else _ENDING)
 
 
-def _bound_group(doppler: bool, smoothed: bool = False) -> str:
-    return ("bound_doppler" if doppler else "bound_no_doppler") + ("_smoothed" if smoothed else "")
+def _bound_group(doppler: bool, smoothed: bool = False, lag: int | None = None) -> str:
+    later = "" if not smoothed else "_smoothed" if lag is None else f"_lag_{lag}"
+    return ("bound_doppler" if doppler else "bound_no_doppler") + later
 
 
 def blurred(scenario: Scenario, detections: DetectionSeries, seed: int) -> DetectionSeries:
@@ -201,7 +202,8 @@ def after_slam(path: Path) -> str:
 def bound(path: Path, settings=(), doppler: bool = True) -> None:
     """Add the posterior Cramér–Rao bounds of this run: its track, its detections and their R, the true association.
 
-    Two of them: of what a step can know from the detections up to it, and from those of the whole run.
+    Three of them: of what a step can know from the detections up to it, from those up to ``filter.lag`` steps later, and from
+    those of the whole run.
     """
     scenario, seed = scenario_of(path, settings, "bound")
     refuse_unwritable(path)
@@ -213,9 +215,9 @@ def bound(path: Path, settings=(), doppler: bool = True) -> None:
             f"{path}: holds no true map, and without it there is no bound; name the landmarks on import "
             "(source.model.virtual_anchors, scatter_point), or evaluate without"
         )
-    for smoothed in (False, True):
-        bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
-        dataset.write_record(path, _bound_group(doppler, smoothed), bounds)
+    for smoothed, lag in ((False, None), (True, scenario.filter.lag), (True, None)):
+        bounds = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed, lag=lag)
+        dataset.write_record(path, _bound_group(doppler, smoothed, lag), bounds)
 
 
 def _map_known(landmarks: Landmarks, paths: Paths | None) -> bool:
@@ -245,7 +247,7 @@ def evaluate(
     bounds: dict[str, Bound] = {}
     for name in list(found):
         filter_name, doppler = split_variant(name)
-        group = _bound_group(doppler, pipeline.whole_run(scenario, filter_name))
+        group = _bound_group(doppler, *pipeline.reads_later(scenario, filter_name))
         if align:
             _refuse_misfits(path, {"track": track, f"slam_{name}": found[name]})
             continue

@@ -17,6 +17,7 @@ from dopslam.filters import FILTERS
 from dopslam.pipeline import link
 from dopslam.pipeline.problem import chosen_filter
 from dopslam.records import DetectionSeries, Landmarks, Paths, Track
+from dopslam.slam.filter import later
 from dopslam.slam.history import History
 from estimation.evaluate import Match, associate
 
@@ -85,7 +86,7 @@ def judged(
     matches = None if paths is None or detections is None else match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, 1.0 if detections is None else detections.threshold)
     variants = {
-        name: {"bound": "smoothing" if _whole_run(scenario, name) else "filtering"}
+        name: {"bound": _own_bound(scenario, name)}
         | summarize(e, landmarks, radius)
         | community.figures(
             track,
@@ -119,9 +120,11 @@ def walls_of(scenario: Scenario, history: History) -> Walls:
     return walls(history, np.array(scenario.base_station.position), height, threshold=least)
 
 
-def _whole_run(scenario: Scenario, variant: str) -> bool:
+def _own_bound(scenario: Scenario, variant: str) -> str:
+    """What the bound of a variant's estimates is called."""
     name, _ = split_variant(variant)
-    return name in FILTERS and chosen_filter(scenario, name).capabilities.whole_run
+    smoothed, lag = later(chosen_filter(scenario, name)) if name in FILTERS else (False, None)
+    return "filtering" if not smoothed else "smoothing" if lag is None else f"lag {lag}"
 
 
 def _told(detections: DetectionSeries | None, matches: list[Match] | None) -> dict:

@@ -29,7 +29,7 @@ from dopslam.pipeline.seeds import Component, generator
 from dopslam.pipeline.signals import Snapshots
 from dopslam.records import SPEED_OF_LIGHT, DetectionSeries, FloorPlan, Kind, Landmarks, Mesh, Paths, Track, edges_of
 from dopslam.simulate import world as simulate_module
-from dopslam.slam.filter import Problem
+from dopslam.slam.filter import Problem, later
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.health import divergence
 from dopslam.slam.history import History
@@ -316,9 +316,9 @@ def uses_doppler(scenario: Scenario, name: str) -> bool:
     return build.chosen_filter(scenario, name).capabilities.doppler and build.motion(scenario).doppler
 
 
-def whole_run(scenario: Scenario, name: str) -> bool:
-    """Whether a filter's estimates use the scans of the whole run, so that the smoothing bound is its own."""
-    return build.chosen_filter(scenario, name).capabilities.whole_run
+def reads_later(scenario: Scenario, name: str) -> tuple[bool, int | None]:
+    """Which bound is a filter's own, as :func:`bound` takes it: ``smoothed`` and ``lag``."""
+    return later(build.chosen_filter(scenario, name))
 
 
 def landmark_of_detections(
@@ -349,10 +349,12 @@ def bound(
     smoothed: bool = False,
     problem: Problem | None = None,
     label: np.ndarray | None = None,
+    lag: int | None = None,
 ) -> Bound:
     """PCRB (17) at the true track with the R and the detections of this run and the true association.
 
-    With ``smoothed`` every step is bounded by the detections of the whole run instead of those up to it.
+    With ``smoothed`` every step is bounded by the detections of the whole run instead of those up to it, or, with ``lag``, of
+    those up to so many steps later.
 
     Paths of two reflections tell what they tell the filters, everything but their departure, unless ``[filter]`` has no
     such type; those of more carry no information here. ``problem`` is what the filter is told; default the scenario's; ``label`` (N,)
@@ -380,5 +382,6 @@ def bound(
         height=scenario.receiver.height,
         doppler=doppler,
         smoothed=smoothed,
+        lag=lag,
         pace=scans.pace(problem.motion.interval),
     )

@@ -38,6 +38,11 @@ def run_table(summary: dict) -> Table:
     whole = [name for name, figures in variants.items() if figures.get("bound") == "smoothing"]
     if whole:
         table.caption += f"\nThe bound of {', '.join(whole)} is that of the whole run (smoothing)."
+    for name, figures in variants.items():
+        if (bound := figures.get("bound", "")).startswith("lag "):
+            table.caption += (
+                f"\nThe bound of {name} knows the detections up to {bound.removeprefix('lag ')} steps later."
+            )
     table.caption_justify = "left"
     return table
 

@@ -131,6 +131,7 @@ class Capabilities:
     stations : most base stations
     whole_run : whether every step's estimate uses the scans of the whole run, so that the smoothing bound is its own;
         such a filter finds its start from the scans by itself where the problem withholds it
+    delayed : whether every step's estimate uses the scans up to ``lag`` steps later, an attribute of the filter
     intervals : whether it honours times between scans that are not the motion model's period
     """
 
@@ -139,6 +140,7 @@ class Capabilities:
     any_motion: bool = False
     stations: int = 1
     whole_run: bool = False
+    delayed: bool = False
     intervals: bool = False
 
 
@@ -285,6 +287,12 @@ def _shown(answer: Any) -> str:
     return (
         f"({', '.join(type(part).__name__ for part in answer)})" if isinstance(answer, tuple) else type(answer).__name__
     )
+
+
+def later(chosen: Filter) -> tuple[bool, int | None]:
+    """Whether a filter's estimates use later scans than their own, and up to how many steps later; None: all of the run."""
+    able = chosen.capabilities
+    return able.whole_run or able.delayed, getattr(chosen, "lag", None) if able.delayed else None
 
 
 def uses_doppler(chosen: Filter) -> bool:

@@ -23,7 +23,7 @@ from dopslam.models.measurement import SP, VA
 from dopslam.models.scans import Scans
 from dopslam.pipeline.problem import told
 from dopslam.simulate.world import Situation, simulate
-from dopslam.slam.filter import Filter, Problem, uses_doppler
+from dopslam.slam.filter import Filter, Problem, later, uses_doppler
 from dopslam.slam.filter import run as run_filter
 from dopslam.slam.history import Diagnostics, History
 from dopslam.slam.pmb.density import BS_TRACK, NO_TRACK
@@ -127,7 +127,9 @@ def run_once(study: Study, seed: int, run: int) -> RunResult:
     states, scans = simulate(world, seed, run)
     assert scans.label is not None  # it was drawn
     mask = detection_mask(scans.label, scans.offsets, len(world.kind))
-    bound = situation_bound(world, states, detected=mask, doppler=uses_doppler(study.chosen)).squared()
+    smoothed, lag = later(study.chosen)
+    own = {"doppler": uses_doppler(study.chosen), "smoothed": smoothed, "lag": lag}
+    bound = situation_bound(world, states, detected=mask, **own).squared()
     started = time.thread_time()
     try:
         history, diagnostics = run_filter(study.told, scans, study.chosen, run_seed(seed, run))

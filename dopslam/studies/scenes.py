@@ -97,8 +97,8 @@ def judged(scenario: Scenario, seed: int, data: Path, density: str) -> dict:
     assert paths is not None
     doppler = pipeline.uses_doppler(scenario, density)
     history = pipeline.slam(scenario, detections, density, doppler, seed)
-    smoothed = pipeline.whole_run(scenario, density)
-    bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed)
+    smoothed, lag = pipeline.reads_later(scenario, density)
+    bound = pipeline.bound(scenario, track, landmarks, paths, detections, doppler, smoothed, lag=lag)
     order = largest_order(density, landmarks)
     evaluation = evaluate_run(scenario, track, landmarks, history, bound, order)
     matches = match_series(scenario, track, paths, detections)

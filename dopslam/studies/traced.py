@@ -48,9 +48,9 @@ def evaluations(path: Path, noise: str, filters=COMPARED) -> tuple[dict[str, Eva
     for filter_name, doppler in stages.variants_of(scenario, filters):
         name = stages.variant_name(filter_name, doppler)
         history = pipeline.slam(scenario, detections, filter_name, doppler, seed)
-        order, kind = largest_order(filter_name, landmarks), (doppler, pipeline.whole_run(scenario, filter_name))
+        order, kind = largest_order(filter_name, landmarks), (doppler, *pipeline.reads_later(scenario, filter_name))
         if kind not in bounds:
-            bounds[kind] = pipeline.bound(scenario, track, landmarks, paths, detections, *kind)
+            bounds[kind] = pipeline.bound(scenario, track, landmarks, paths, detections, *kind[:2], lag=kind[2])
         found[name] = evaluate_run(scenario, track, landmarks, history, bounds[kind], order)
     radius = scenario.evaluation.found_radius
     return found, {name: summarize(e, landmarks, radius) for name, e in found.items()}

@@ -122,6 +122,16 @@ def test_the_whole_run_never_knows_less_and_ends_where_the_filter_ends():
         np.testing.assert_allclose(whole.leb[0, 1:], now.leb[-1, 1:], rtol=1e-5)
 
 
+def test_a_lag_is_the_whole_of_a_run_that_ends_so_many_steps_later():
+    world, lag = section_v(0.1, steps=9), 3
+    late = situation_bound(world, smoothed=True, lag=lag)
+    for k in range(world.steps):
+        ended = situation_bound(replace(world, steps=min(k + lag + 1, world.steps)), smoothed=True)
+        np.testing.assert_allclose(late.covariance[k], ended.covariance[k], rtol=1e-8)
+        np.testing.assert_allclose(late.landmark[k], ended.landmark[k], rtol=1e-6)
+    assert situation_bound(world, smoothed=True, lag=99).peb == pytest.approx(situation_bound(world, smoothed=True).peb)
+
+
 @pytest.mark.parametrize("states", [(3,), (2,), (0, 1), (2, 3), (0, 1, 2, 3)])
 @pytest.mark.parametrize("part", ["prior", "noise", "both"])
 @pytest.mark.parametrize("smoothed", [False, True])

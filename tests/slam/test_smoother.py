@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from dopslam.errors import FilterError
+from dopslam.evaluate.bounds import situation_bound
 from dopslam.evaluate.metrics import nees, state_errors
 from dopslam.models.measurement import BS, VA, measure, residual
 from dopslam.models.motion import propagate
@@ -95,6 +96,28 @@ def test_smoother_beats_the_filter_and_stays_consistent(world):
     spread = np.std(values) / np.sqrt(len(values))
     assert abs(np.mean(values) - 4) < 3.3 * spread + 0.3
     assert np.mean(errors["smoother"]) < 1.02 * np.mean(errors["filter"])
+
+
+def test_what_is_told_later_is_at_the_bound_of_that_time(world):
+    """Thirty runs: above the fixed-lag bound, far below the filter's error, consistent; the last step is the smoother's."""
+    lag, values, late, now = 5, [], [], []
+    bound = situation_bound(world, smoothed=True, lag=lag).peb
+    for run in range(30):
+        states, scans = simulate(world, 12, run)
+        arguments = (scans, (world.prior_mean, world.prior_covariance), world.motion, world.bs)
+        own, _ = smoother.run(*arguments)
+        history, _ = smoother.run(*arguments, smoothing=SmootherParameters(lag=lag, delayed=True))
+        np.testing.assert_allclose(history.mean[-1], own.mean[-1])
+        np.testing.assert_allclose(history.covariance[-1], own.covariance[-1])
+        assert history.map_offsets[1] == own.map_offsets[lag + 1] - own.map_offsets[lag]
+        error = state_errors(history.mean, states)
+        late.append((error[:, :2] ** 2).sum(axis=1))
+        now.append((state_errors(own.mean, states)[:, :2] ** 2).sum(axis=1))
+        values.append(nees(error, history.covariance).mean())
+    assert abs(np.mean(values) - 4) < 3.3 * np.std(values) / np.sqrt(len(values)) + 0.3
+    ratio = np.sqrt(np.mean(late) / np.mean(bound**2))
+    assert 0.9 < ratio < 1.25
+    assert np.mean(np.array(late)[:, :-1]) < 0.8 * np.mean(np.array(now)[:, :-1])
 
 
 def test_impossible_parameters_are_refused():

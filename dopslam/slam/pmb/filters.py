@@ -172,7 +172,18 @@ class Smoother(Joint):
 
     def run(self, problem: Problem, scans: Scans, rng: np.random.Generator) -> tuple[History, Diagnostics]:
         """Filter and smooth a whole run."""
-        return smoother.run(*self._arguments(problem, scans), smoother.SmootherParameters(lag=self.lag))
+        chosen = smoother.SmootherParameters(lag=self.lag, delayed=self.capabilities.delayed)
+        return smoother.run(*self._arguments(problem, scans), chosen)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lagged(Smoother):
+    """The smoother, asked ``lag`` steps later: every step from the scans up to then, with the map of that time.
+
+    ``step`` tells the newest state, as there.
+    """
+
+    capabilities = Capabilities(states=(4, 6), delayed=True, intervals=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,6 +40,8 @@ class SmootherParameters:
         Steps that are revisited.
     iterations : int
         Most Gauss-Newton iterations per step.
+    delayed : bool
+        Every step is told `lag` steps later, with all that was measured until then.
     confirmed : float
         Existence times type probability from which a track's measurements are used.
     """
@@ -47,6 +49,7 @@ class SmootherParameters:
     lag: int = 5
     iterations: int = 5
     confirmed: float = 0.95
+    delayed: bool = False
 
     def __post_init__(self) -> None:
         if self.lag < 1 or self.iterations < 1:
@@ -150,12 +153,12 @@ def candidates(named, offsets, first, k, track, kind, likely, confirmed, tracks,
 
 @compiled
 def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, position, spread, information, start,
-           weight, pace, model, lag, iterations, confirmed):  # fmt: skip
+           weight, pace, model, lag, delay, iterations, confirmed):  # fmt: skip
     """Smooth a whole run; overwrites `position` and `spread` of the map rows that are variables of the window.
 
     Returns
     -------
-    means, covariances : (K, n), (K, n, n) arrays; of the newest state at each step
+    means, covariances : (K, n), (K, n, n) arrays; of each step from the scans up to `delay` steps later
     failed : int; step with a singular information matrix, -1 if none
     """
     steps, n = offsets.shape[0] - 1, start.shape[0]
@@ -201,15 +204,19 @@ def smooth(z, whiteners, offsets, chosen, map_offsets, track, kind, likely, posi
             pace[first:],
             model,
             iterations,
+            min(delay, states.shape[0] - 2),
         )
         if not (valid and solved):
             return means, covariances, k
-        copy_vector(states[-1], means[k])
-        copy_matrix(covariance[:n, :n], covariances[k])
+        back = min(delay, states.shape[0] - 2)
+        for d in range(0 if k == steps - 1 else delay, back + 1):
+            at = (back - d) * n
+            copy_vector(states[states.shape[0] - 1 - d], means[k - d])
+            copy_matrix(covariance[at : at + n, at : at + n], covariances[k - d])
         for i in range(low, high):
             slot = find(tracks, track[i])
             if slot >= 0:
-                at = n + 3 * slot
+                at = (back + 1) * n + 3 * slot
                 copy_vector(landmarks[slot], position[i])
                 copy_matrix(covariance[at : at + 3, at : at + 3], spread[i])
         if states.shape[0] > lag + 1:  # the next state's measurements join the prior, the tail state leaves
@@ -253,7 +260,7 @@ def run(
     smoothing: SmootherParameters | None = None,
 ) -> tuple[History, Diagnostics]:
     """Filter a whole run and smooth it with a fixed lag; the record holds the state and map at each step's
-    own time.
+    own time, or `lag` steps later (`delayed`).
 
     Parameters as in `ek_pmb.run`, with `smoothing`. Unconfirmed landmarks are reported as the filter has
     them.
@@ -281,6 +288,7 @@ def run(
         pace,
         compile_model(parameters, motion, bs, height),
         smoothing.lag,
+        smoothing.lag if smoothing.delayed else 0,
         smoothing.iterations,
         smoothing.confirmed,
     )
@@ -289,4 +297,7 @@ def run(
             f"smoother, step {failed}: information matrix is singular; use a longer lag or a tighter prior"
         )
     smoothed = replace(history, mean=means, covariance=covariances, position=position, position_covariance=spread)
+    if smoothing.delayed:  # the map of that time stands beside the state
+        told = smoothed.take(np.minimum(np.arange(scans.steps) + smoothing.lag, scans.steps - 1))
+        smoothed = replace(told, mean=means, covariance=covariances)
     return smoothed, diagnostics

@@ -194,13 +194,13 @@ def solve_scaled(information, gradient, factor, scale):
 
 @inlined
 def solve_window(prior_information, prior_vector, states, landmarks, kinds, when, which, rows, z, whiteners, weight,
-                 pace, model, iterations):  # fmt: skip
+                 pace, model, iterations, back):  # fmt: skip
     """Gauss-Newton with halved steps.
 
     Returns
     -------
     states, landmarks : solution
-    covariance : (n + 3H, n + 3H) array; of (s_now, x_1 … x_H)
+    covariance : of (s_{now - back}, …, s_now, x_1 … x_H)
     valid : bool; False if the information matrix was singular
     """
     window, n = states.shape
@@ -239,7 +239,7 @@ def solve_window(prior_information, prior_vector, states, landmarks, kinds, when
         if length < CONVERGED:
             break
     # The trailing block of (UᵀU)⁻¹ is (U₂ᵀU₂)⁻¹ with U₂ the trailing block of U: all that is asked for.
-    head = base - n
+    head = base - (back + 1) * n
     tail = size - head
     inverse, lower, covariance = np.zeros((tail, tail)), np.zeros((tail, tail)), np.zeros((tail, tail))
     for i in range(tail):
