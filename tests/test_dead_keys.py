@@ -131,7 +131,7 @@ def test_an_option_of_another_filter_is_refused_by_name(name):
 
 def test_the_message_says_who_would_read_it(call, capsys):
     assert call("run", "ring_road", "--source", "model", "--filter", "joint", "--set", "filter.lag=9") == 2
-    assert "filter.lag" in (said := capsys.readouterr().err) and "smoother would" in said
+    assert "filter.lag" in (said := capsys.readouterr().err) and "smoother, lagged would" in said
     assert call("montecarlo", "ring_road", "--filter", "joint", "--set", "belief.birth_rate=0.1") == 2
     assert "bp would" in capsys.readouterr().err
 
