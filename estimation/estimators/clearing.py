@@ -14,7 +14,7 @@ from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 from .colored import port_covariance
 from .floor import Floor
-from .haze import CROWD, MOST, gathered, smoldering
+from .haze import MOST, gathered, nowhere, smoldering
 from .noise import Noise
 from .projector import Bases, Projector
 from .refine import Linearization, linearize
@@ -41,26 +41,19 @@ def heard(model: SignalModel, white, lin: Linearization, noise: Noise) -> Noise:
 
 
 def cleared(
-    nomp: Searcher, white, lin: Linearization | None, noise: Noise, found: Geometry, statistic, full: bool = False
+    nomp: Searcher, white, lin: Linearization | None, noise: Noise, found: Geometry, statistic
 ) -> tuple[Projector, Linearization | None, Noise] | None:
     """Data without what turns out to be a haze, the paths that remain and what is known of the noise; None where there is no
-    new one among the paths and what is found beside them; among the paths alone if there may be no more (``full``).
+    new one among the paths and what is found beside them.
     """
     model, strong = nomp.model, np.flatnonzero(statistic > nomp.level)
-    if (
-        lin is None
-        or not (full or len(strong))
-        or len(noise.hazes) >= MOST
-        or model.subbands > 1
-        or nomp.dense_multipath
-    ):
+    if lin is None or not len(strong) or len(noise.hazes) >= MOST or model.subbands > 1 or nomp.dense_multipath:
         return None
-    if len(strong):
-        strong = strong[_own(coherence(model, found.take(strong)), statistic[strong])]
-    if not noise.hazes and len(lin.gain) + len(strong) < CROWD:
+    energy = statistic * noise.variance(lin)
+    if not noise.hazes and not nowhere(lin.drop, energy[strong]):
         return None
-    energy = statistic[strong] * noise.variance(lin)
-    new, kept = gathered(model, noise.hazes, lin.geometry, lin.drop, found.take(strong), energy, 0 if full else 2)
+    strong = strong[_own(coherence(model, found.take(strong)), statistic[strong])]
+    new, kept = gathered(model, noise.hazes, lin.geometry, lin.drop, found.take(strong), energy[strong])
     if not new:
         return None
     paths = linearize(Projector(model, white, nomp._basis), lin.geometry.take(kept)) if len(kept) else None

@@ -27,10 +27,16 @@ NEAR = 6.0
 ALIKE = 0.1
 """Squared coherence, over all modes but delay, from which on two are neighbors."""
 CROWD = 5
-"""Neighbors, known and new, that make a crowd; at least two of them new: a fit that explains all has none."""
+"""Neighbors, known and new, that make a crowd."""
+FRESH = 2
+"""At least so many of them are new: a fit that explains all has none. The others are like them in energy."""
+LIKE = 10.0
+"""Ratio of energies up to which they are alike: so many times the strongest candidate are what a fit gets nowhere with."""
+PATIENCE = 16
+"""Paths from which on it is asked whether the fit gets nowhere: a room may have as many."""
 STANDS_OUT = 16.0
-"""Multiple of the mean energy of the others from which on a member is a path. Energies of a cluster's cells are exponentially
-distributed about a profile, whose first bins are several times the mean."""
+"""Multiple of the mean energy of the weaker ones from which on a member is a path. Energies of a cluster's cells are
+exponentially distributed about a profile, whose first bins are several times the mean."""
 SKIRT = 3.0
 """The same of what may be left beside a haze: it fades with the coherence (not squared) and over :data:`NEAR` bins of delay."""
 MARGIN = 2.0
@@ -101,14 +107,16 @@ def likeness(model: SignalModel, first: Geometry, second: Geometry) -> Float:
     return alike * (gap < NEAR)
 
 
+def nowhere(worth: Float, energy: Float) -> bool:
+    """Whether paths, of energies ``worth`` (P,), get a fit nowhere: half of them are like the strongest of the candidates
+    (C,) that it has still. Reflections come to an end, each weaker than the one before.
+    """
+    alike = int(np.sum(worth < LIKE * energy.max(initial=0.0)))
+    return len(worth) >= PATIENCE and 2 * alike >= len(worth)
+
+
 def gathered(
-    model: SignalModel,
-    hazes: tuple[Haze, ...],
-    known: Geometry,
-    worth: Float,
-    found: Geometry,
-    energy: Float,
-    fresh: int = 2,
+    model: SignalModel, hazes: tuple[Haze, ...], known: Geometry, worth: Float, found: Geometry, energy: Float
 ) -> tuple[tuple[Haze, ...], np.ndarray]:
     """New hazes among known paths and what is found beside them, and which of the known paths (P,) remain.
 
@@ -117,7 +125,6 @@ def gathered(
     hazes : those there are
     known, worth : paths and their energies (P,)
     found, energy : candidates above the threshold and their energies (C,)
-    fresh : how many of a crowd must be candidates
     """
     everyone, strength = known.joined(found), np.concatenate([worth, energy])
     count = len(known)
@@ -130,15 +137,23 @@ def gathered(
     label = connected_components(likeness(model, everyone, everyone) > ALIKE, directed=False)[1]
     for crowd in range(int(label.max()) + 1):
         own = np.flatnonzero(label == crowd)
-        if len(own) < CROWD or np.sum(own >= count) < fresh:
-            continue
-        others = (strength[own].sum() - strength[own]) / (len(own) - 1)
-        lost[own] |= strength[own] < STANDS_OUT * others
+        new = strength[own[own >= count]]
+        like = np.sum(strength[own[own < count]] < LIKE * new.max(initial=0.0))
+        if len(own) >= CROWD and len(new) >= FRESH and like >= CROWD - FRESH:
+            lost[own[_crowded(strength[own])]] = True
     new = []
     for crowd in np.unique(label[lost]):
         own = np.flatnonzero(lost & (label == crowd))
         new.append(Haze.of(model, everyone.take(own), float(strength[own].mean())))
     return tuple(new), np.flatnonzero(~lost[:count])
+
+
+def _crowded(strength: Float) -> np.ndarray:
+    """Those of energies (n,) that are one crowd: from the weakest up, until one stands out of the mean of those before."""
+    order = np.argsort(strength)
+    mean = np.cumsum(strength[order]) / np.arange(1, len(order) + 1)
+    out = np.flatnonzero(strength[order][FRESH:] > STANDS_OUT * mean[FRESH - 1 : -1])
+    return order[: FRESH + out[0]] if len(out) else order
 
 
 def smoldering(floor: Floor, lin: Linearization, variance: float, level: float) -> np.ndarray:

@@ -203,12 +203,6 @@ class Nomp:
         due = np.inf if self.white or model.weight is not None or model.subbands > 1 else MANY
         clock = Clock.of(self.max_seconds)
         while efforts and not clock.over:
-            if lin is not None and len(lin.gain) >= self.max_paths:
-                told = cleared(self, white, lin, noise, lin.geometry.take([]), np.zeros(0), full=True)
-                if told is None:
-                    break
-                (data, lin, noise), spare = told, None
-                filtered = self._search.filtered(data)
             variance = noise.variance(lin)
             residual = filtered
             if lin is not None and model.subbands > 1:
@@ -230,6 +224,8 @@ class Nomp:
                 (data, lin, noise), spare = told, None
                 filtered = self._search.filtered(data)
                 continue
+            if lin is not None and len(lin.gain) >= self.max_paths:
+                break
             accepted, more = accepted_of(self, found, statistic)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)

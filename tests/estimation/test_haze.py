@@ -69,7 +69,7 @@ def row(count, spacing, energy):
 def test_a_crowd_is_a_haze_and_a_path_in_it_stays(link):
     crowd, energy = row(CROWD + 1, 1.5, 100.0)
     energy[2] = 100.0 * 30
-    new, kept = gathered(link, (), crowd.take([0, 1, 2]), energy[:3], crowd.take([3, 4, 5]), energy[3:])
+    new, kept = gathered(link, (), crowd.take([0, 1, 2, 3]), energy[:4], crowd.take([4, 5]), energy[4:])
     assert len(new) == 1 and kept.tolist() == [2] and len(new[0].members) == CROWD
     # The noise about that path is that of a cell.
     assert raised(link, new, crowd.take([2]), 1.0)[0] == pytest.approx(101, rel=0.01)
