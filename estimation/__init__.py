@@ -35,9 +35,18 @@ if TYPE_CHECKING:
     from .signal.impairments import Impairments, WeightedPattern
     from .signal.model import SignalModel
     from .signal.noise import white_noise
+    from .signal.nr import prs, srs, staggered
     from .signal.paths import PARAMETERS, PathTable
     from .signal.patterns import CosinePattern, DipolePattern, EadfArray, outward
-    from .signal.schedule import Schedule, antenna_switching, dft_beams, digital, random_phase_beams, sweep
+    from .signal.schedule import (
+        Schedule,
+        antenna_switching,
+        dft_beams,
+        digital,
+        random_phase_beams,
+        simultaneous,
+        sweep,
+    )
     from .signal.synthesis import synthesize
     from .signal.waveform import SPEED_OF_LIGHT, Waveform, comb
 
@@ -59,7 +68,8 @@ _HOMES = {
     "signal.noise": "white_noise",
     "signal.paths": "PARAMETERS PathTable",
     "signal.patterns": "CosinePattern DipolePattern EadfArray outward",
-    "signal.schedule": "Schedule antenna_switching dft_beams digital random_phase_beams sweep",
+    "signal.nr": "prs srs staggered",
+    "signal.schedule": "Schedule antenna_switching dft_beams digital random_phase_beams sweep simultaneous",
     "signal.synthesis": "synthesize",
     "signal.waveform": "SPEED_OF_LIGHT Waveform comb",
 }
@@ -105,8 +115,12 @@ __all__ = [
     "fisher_information",
     "outward",
     "pilot_covariance",
+    "prs",
     "random_phase_beams",
+    "simultaneous",
     "snr",
+    "srs",
+    "staggered",
     "sweep",
     "synthesize",
     "ula",

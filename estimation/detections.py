@@ -43,7 +43,7 @@ class Detections:
 
     Attributes
     ----------
-    delay : (P,) [s], within the unambiguous range of the pilots (``waveform.max_delay``): a longer one comes back in at its
+    delay : (P,) [s], within the unambiguous range of the pilots (``model.max_delay``): a longer one comes back in at its
         beginning, and nothing in the burst can tell
     aoa, aod : (P, 2) azimuth and elevation [rad], in the receiver's and transmitter's frame
     radial_velocity : (P,) [m/s], positive when approaching

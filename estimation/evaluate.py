@@ -76,7 +76,7 @@ def associate(
     truth = paths.vector
     bound = crb(model, paths, noise_variance)
     rho = snr(model, paths, noise_variance)
-    error = differences(detections.vector[:, None], truth[None], model.waveform.max_delay or np.inf)
+    error = differences(detections.vector[:, None], truth[None], model.max_delay or np.inf)
     telling = np.isfinite(bound[:, active][:, :, active]).all(axis=(1, 2))
     both = detections.covariance[:, None] + bound[None, telling]
     distance, volume = np.full(error.shape[:2], 1e9), np.zeros(error.shape[:2])

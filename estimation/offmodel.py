@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .estimators.grids import EVERYWHERE
 from .estimators.nomp import Nomp
 from .evaluate import associate
 from .scenarios import FRONT, Draw, at_snr, draw_paths, reference_link
@@ -40,7 +41,7 @@ class Case:
     moved: Callable[[PathTable], PathTable] = lambda paths: paths
     added: Callable[[SignalModel, np.random.Generator], Complex] | None = None
     said: float | None = None
-    region: dict[str, float] | None = None
+    max_delay: float | None = None
 
 
 def echoes(decibel: float, clusters: int = 3, rays: int = 300) -> Callable[[SignalModel, np.random.Generator], Complex]:
@@ -123,7 +124,7 @@ CASES: dict[str, Case] = {
     "phase noise 3 deg": Case(Impairments(phase_noise_deg=3)),
     "phase noise 10 deg": Case(Impairments(phase_noise_deg=10)),
     "path at 40 m/s": Case(moved=_lead("radial_velocity", 40.0)),
-    "path at 150 of 145 ns": Case(moved=_lead("delay", 150e-9), region={"max_delay": 145e-9}),
+    "path at 150 of 145 ns": Case(moved=_lead("delay", 150e-9), max_delay=145e-9),
     "half the variance": Case(said=0.5),
     "interferer 10 dB": Case(added=interferer(10.0)),
     "bad symbol 20 dB": Case(added=louder(1, 20.0)),
@@ -147,12 +148,8 @@ def burst(case: Case, seed: int, model: SignalModel | None = None) -> dict:
     signal = case.hardware.signal(model, paths, 1.0, noise_rng, seed)
     if case.added is not None:
         signal = (signal + case.added(model, added_rng)).astype(np.complex64)
-    front = {
-        name: FRONT
-        for name, array in (("arrival_view", model.receiver), ("departure_view", model.transmitter))
-        if _planar(array)
-    }
-    nomp = Nomp(model, **front, **(case.region or {}))
+    views = [FRONT if _planar(array) else EVERYWHERE for array in (model.receiver, model.transmitter)]
+    nomp = Nomp(model, max_delay=case.max_delay, arrival_view=views[0], departure_view=views[1])
     start = time.thread_time()
     found = nomp.run(signal, case.said)
     seconds = time.thread_time() - start

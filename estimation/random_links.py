@@ -85,7 +85,7 @@ def random_link(rng: np.random.Generator) -> SignalModel:
 def random_paths(model: SignalModel, rng: np.random.Generator, decibels=(18.0, 45.0)) -> PathTable:
     """Two to eight paths of so much rho within all that the link can tell, at least two cells of delay or speed apart."""
     count = int(rng.integers(2, 9))
-    longest = min(model.waveform.max_delay, 40 / model.waveform.bandwidth)
+    longest = min(model.max_delay, 40 / model.waveform.bandwidth)
     cells = np.array([1 / model.waveform.bandwidth, model.waveform.wavelength / np.ptp(model.schedule.times)])
     for _ in range(10_000):
         delay, speed = rng.uniform(0, longest, count), rng.uniform(-0.95, 0.95, count) * SEARCHED

@@ -97,3 +97,28 @@ def test_element_patterns_and_subbands_come_from_the_scenario():
     assert abs(ahead[8]) == pytest.approx(0.0, abs=1e-12)  # the ninth away from it
     dipole = radio.signal_model(load("ring_road", ["receiver.array.pattern=dipole"]))
     assert np.abs(dipole.receiver.steering(np.array([[0.0, 0.6, 0.8]]))) == pytest.approx(0.6)
+
+
+def test_a_staggered_comb_moves_while_a_beam_is_held():
+    model = radio.signal_model(load("ring_road", ["radio.stagger=prs", "radio.beams.sweeps=2"]))
+    offsets = np.asarray(model.schedule.offsets)
+    assert model.shape[1] == 16 * 2 * 4 and np.all(np.diff(model.schedule.precoder_index.reshape(-1, 4)) == 0)
+    # Comb 4 at 120 kHz: shifts 0, 2, 1, 3 about the middle.
+    assert offsets[:8] / 120e3 == pytest.approx([-1.5, 0.5, -0.5, 1.5] * 2)
+    assert model.max_delay == pytest.approx(1 / 120e3)
+    given = radio.signal_model(load("ring_road", ["radio.stagger=[0,2]"]))
+    assert given.max_delay == pytest.approx(1 / 240e3) and given.shape[1] == 16 * 8 * 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["radio.stagger=prs", "radio.comb=5"], "needs comb = 2, 4, 6, 12"),
+        (["radio.stagger=[0,4]"], "subcarrier 4 of a comb of 4"),
+        (["radio.stagger=prs", "radio.beams.kind=digital"], "does not go with beams.kind"),
+        (["radio.stagger=foo"], "radio.stagger"),
+    ],
+)
+def test_a_stagger_that_cannot_be_is_refused(settings, said):
+    with pytest.raises(ConfigError, match=said):
+        load("ring_road", settings)

@@ -80,7 +80,7 @@ def _radio(scenario: Sections, far: float) -> dict[str, Any]:
     bandwidth = radio.bandwidth or usual[1]
     longest = (2 + 2 * scenario.trace.max_depth) * far + MARGIN
     longest += abs(track.start[3]) + 3 * track.start_std[3]
-    if "comb" in given:
+    if "comb" in given or radio.stagger is not None:
         comb = radio.comb
     elif "subcarriers" in given:
         comb = max(1, round(bandwidth / (radio.subcarriers * spacing)))

@@ -32,6 +32,7 @@ from dopslam.filters import FILTERS, MOTIONS
 Pilots = Annotated[
     tuple[Annotated[int, Field(ge=-1_000_000, le=1_000_000)], ...], Field(min_length=1, max_length=100_000)
 ]
+Stagger = Annotated[tuple[Annotated[int, Field(ge=0, le=1000)], ...], Field(min_length=1, max_length=100)]
 Spread = Annotated[float, Field(ge=1e-9, le=1e6)]
 
 
@@ -84,6 +85,13 @@ class Beams(Frozen):
     seed: Seed = 0
 
 
+def _combs(signal: str) -> dict[int, tuple[int, ...]]:
+    """Shifts of a positioning signal by its comb."""
+    from estimation.signal.nr import PRS, SRS  # not at the top: a scenario is read without any estimator
+
+    return {"prs": PRS, "srs": SRS}[signal]
+
+
 class Radio(Frozen):
     """Waveform and beam schedule of one snapshot (paper A, eq. 2)."""
 
@@ -93,6 +101,8 @@ class Radio(Frozen):
     subcarrier_spacing: Hertz = 120e3  # Hz
     comb: Count = 4  # every comb-th subcarrier carries a pilot
     pilots: Pilots | None = None  # numbers of these subcarriers from the carrier; default a regular comb
+    # The comb moves from symbol to symbol while a beam is held: as a PRS or SRS of 5G does, or to these subcarriers of it
+    stagger: Literal["prs", "srs"] | Stagger | None = None
     symbol_period: Seconds = 35.68e-6  # s, between the symbols used
     subbands: Count = 1  # with steering of their own: beam squint and range migration; 1 is eq. (2) as printed
     beams: Beams = Beams()
@@ -105,6 +115,27 @@ class Radio(Frozen):
             if "subcarriers" in self.model_fields_set and len(self.pilots) != self.subcarriers:
                 raise ValueError(f"pilots names {len(self.pilots)} subcarriers, but subcarriers = {self.subcarriers}")
         return self
+
+    @model_validator(mode="after")
+    def _stagger_fits(self):
+        if self.stagger is None:
+            return self
+        if self.pilots is not None or self.beams.kind == "digital":
+            key = "pilots" if self.pilots is not None else 'beams.kind = "digital"'
+            raise ValueError(f"stagger moves a comb while a beam is held; it does not go with {key}")
+        if isinstance(self.stagger, str) and self.comb not in _combs(self.stagger):
+            combs = ", ".join(map(str, _combs(self.stagger)))
+            raise ValueError(f'stagger = "{self.stagger}" needs comb = {combs}; it is {self.comb}')
+        if not isinstance(self.stagger, str) and max(self.stagger) >= self.comb:
+            raise ValueError(f"stagger names subcarrier {max(self.stagger)} of a comb of {self.comb}; the first is 0")
+        return self
+
+    @property
+    def shifts(self) -> tuple[int, ...]:
+        """Subcarriers at which the comb starts, one for each symbol that a beam is held for."""
+        if isinstance(self.stagger, str):
+            return _combs(self.stagger)[self.comb]
+        return (0,) if self.stagger is None else self.stagger
 
     @model_validator(mode="after")
     def _one_bandwidth(self):

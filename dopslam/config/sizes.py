@@ -21,7 +21,9 @@ def refuse(scenario: Sections) -> None:
     sent = {"elements of base_station.array": station} if digital else {"radio.beams.beams": radio.beams.beams}
     factors = {
         "radio.subcarriers": radio.subcarriers, **sent,
-        "radio.beams.sweeps": radio.beams.sweeps, "elements of receiver.array": elements(scenario.receiver.array),
+        "radio.beams.sweeps": radio.beams.sweeps,
+        **({} if radio.stagger is None else {"symbols of radio.stagger": len(radio.shifts)}),
+        "elements of receiver.array": elements(scenario.receiver.array),
     }  # fmt: skip
     samples = math.prod(factors.values())
     if samples > LARGEST_SNAPSHOT or station > LARGEST_ARRAY:
@@ -42,7 +44,7 @@ def refuse(scenario: Sections) -> None:
             f"radio.subcarriers × radio.comb × radio.subcarrier_spacing is a band of {band:.3g} Hz, more than "
             f"radio.carrier_frequency = {radio.carrier_frequency:g} Hz"
         )
-    duration = (1 if digital else radio.beams.beams) * radio.beams.sweeps * radio.symbol_period
+    duration = (1 if digital else radio.beams.beams) * radio.beams.sweeps * len(radio.shifts) * radio.symbol_period
     speed = scenario.estimator.max_radial_velocity
     widths = 2 * speed * duration * radio.carrier_frequency / 299_792_458.0
     if widths > LARGEST_DOPPLER:

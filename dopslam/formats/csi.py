@@ -241,7 +241,7 @@ def _fitting(path: Path, csi: dict, values: np.ndarray, scenario: Scenario) -> n
     model = signal_model(scenario)
     digital = scenario.radio.beams.kind == "digital"
     wanted = {
-        "symbol": (model.schedule.symbols, "radio.beams.sweeps × radio.beams.beams make"),
+        "symbol": (model.schedule.symbols, "radio.beams.sweeps × radio.beams.beams (× those of radio.stagger) make"),
         "rx": (model.receiver.elements, "receiver.array has"),
         "tx": (model.transmitter.elements if digital else 1, "base_station.array has"),
     }

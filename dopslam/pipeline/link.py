@@ -30,6 +30,7 @@ from estimation import (
     estimators,
     outward,
     random_phase_beams,
+    staggered,
     sweep,
     ura,
 )
@@ -63,12 +64,14 @@ def signal_model(scenario: Scenario) -> SignalModel:
         # Eq. (2) has a_T^H; the phases of a wave that leaves an element are those of the element opposite, conjugated.
         transmitter = replace(transmitter, positions=-transmitter.positions)
     else:
+        spacing, size = radio.subcarrier_spacing, radio.comb
         schedule = sweep(
             _codebook(scenario, transmitter.elements, rng),
             radio.beams.sweeps,
             radio.symbol_period,
             order=radio.beams.order,
             rng=rng,
+            stagger=None if radio.stagger is None else staggered(spacing, size, radio.shifts),
         )
     spacing, pilots = radio.subcarrier_spacing, radio.pilots
     return SignalModel(

@@ -121,19 +121,22 @@ def _only(table, index: int):
 
 def _reach(scenario: Scenario, track: Track, paths: Paths, looked, model: SignalModel) -> list[Finding]:
     """Delays within the unambiguous region of the pilots."""
-    reach = model.waveform.max_delay * SPEED_OF_LIGHT
+    reach = model.max_delay * SPEED_OF_LIGHT
     if not looked.any() or not reach:
         return []
     lengths = paths.tau[looked] * SPEED_OF_LIGHT
     spread, uncertain = float(np.ptp(lengths)), 6 * scenario.track.start_std[3]
     if spread + uncertain <= reach:
         return []
-    comb = max(1, int(scenario.radio.comb * reach / (1.2 * (spread + uncertain))))
+    key, value = "comb", scenario.radio.comb
+    if scenario.radio.stagger is not None:
+        key, value = "subcarrier_spacing", scenario.radio.subcarrier_spacing
+    least = max(1, int(value * reach / (1.2 * (spread + uncertain))))
     return [
         Finding(
             "radio",
             f"paths of {lengths.min():.0f} to {lengths.max():.0f} m and a clock known to ±{uncertain / 2:.1f} m do not fit "
-            f"into the {reach:.0f} m that the pilots tell apart; set radio.comb = {comb}",
+            f"into the {reach:.0f} m that the pilots tell apart; set radio.{key} = {least}",
             fatal=False,
         )
     ]

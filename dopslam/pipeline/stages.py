@@ -225,7 +225,7 @@ def stack_detections(scenario: Scenario, snapshots: list, time: np.ndarray | Non
     model = _model(scenario.to_toml())
     speed = scenario.estimator.max_radial_velocity
     # Azimuths cover the circle, elevations count as (−π/2, π/2): the volume that false paths can fall into.
-    widths = np.array([model.waveform.max_delay, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 2 * speed])
+    widths = np.array([model.max_delay, 2 * np.pi, np.pi, 2 * np.pi, np.pi, 2 * speed])
     counts = [len(d.delay) for d in snapshots]
 
     def column(name):
@@ -242,7 +242,7 @@ def stack_detections(scenario: Scenario, snapshots: list, time: np.ndarray | Non
         false_alarm_rate=scenario.estimator.false_alarm_rate,
         search_volume=unmeasured.volume(widths * [SPEED_OF_LIGHT, 1, 1, 1, 1, 1], missing),
         time=time,
-        delay_range=model.waveform.max_delay or np.inf,
+        delay_range=model.max_delay or np.inf,
     )
 
 

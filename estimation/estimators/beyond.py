@@ -23,15 +23,17 @@ HIGHER = 1.3
 
 
 def lines(model: SignalModel, path: Geometry, max_delay: float, max_speed: float) -> list[Geometry]:
-    """Points along speed and delay through a path, those of them outside the searched region."""
+    """Points along speed and delay through a path, those of them outside the searched region; along speed alone where shifted
+    pilots make a delay show in two modes.
+    """
     found = []
     if model.active[5] and max_speed > 0:
         bin_width = model.waveform.wavelength / np.ptp(model.schedule.times)
         speed = np.arange(max_speed, FARTHEST * max_speed, bin_width / 3)
         speed = np.concatenate([-speed[::-1], speed])
         found.append(replace(_repeated(path, len(speed)), speed=speed))
-    period = model.waveform.max_delay
-    if model.active[0] and np.isfinite(period) and max_delay < period * (1 - 1e-6):
+    period = model.max_delay
+    if model.active[0] and model.schedule.offsets is None and np.isfinite(period) and max_delay < period * (1 - 1e-6):
         delay = np.arange(max_delay, period, 1 / (3 * model.waveform.bandwidth))
         found.append(replace(_repeated(path, len(delay)), delay=delay))
     return found

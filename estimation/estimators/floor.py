@@ -79,16 +79,19 @@ class Floor:
                 looks = self._looks if mode == 1 else None
                 if looks is not None:
                     # What an element or a beam does wrong it does in every sweep: it is all at a path's speed.
-                    still = self._still(float(candidates.speed[c]))
+                    still = self._still(float(candidates.speed[c]), float(candidates.delay[c]))
                     level = max(level, left_of(looks.sums(fiber * still), looks.sums(fresh * still)) / self.variance)
                 raised[c] = max(raised[c], 1 + alike[c, p] * (min(level, could[c, p]) - 1))
         return raised
 
-    def _still(self, speed: float):
-        """What stops the phases of a speed in the time mode, (n,)."""
+    def _still(self, speed: float, delay: float):
+        """What stops the phases of a speed, and of a delay if the pilots shift, in the time mode, (n,)."""
         mode = self.data.model.bands[0].modes[1]
         assert isinstance(mode, TimeMode)
-        return np.repeat(np.exp(-2j * np.pi / mode.wavelength * mode.times * speed), mode.ports)
+        turned = -mode.times * speed / mode.wavelength
+        if mode.offsets is not None:
+            turned += mode.offsets * delay
+        return np.repeat(np.exp(2j * np.pi * turned), mode.ports)
 
     @cached_property
     def _looks(self) -> Looks | None:

@@ -228,3 +228,17 @@ def speed_grid(model: SignalModel, max_speed: float, oversampling: float, regist
     # Cells side by side: the outermost reach to the limits.
     count = max(int(np.ceil(bins * oversampling)), 1)
     return max_speed * ((2 * np.arange(count) + 1) / count - 1)
+
+
+def over_ranges(model: SignalModel, slots, phase: Float, delays: Float, max_delay: float) -> tuple[Float, Float]:
+    """Phases (Q, B, A * V) that undo speeds, from those (Q, B, V) of one range of delays, and all delays (A * L,)."""
+    shifts = np.asarray(model.schedule.offsets)[slots]  # (B, Q, S)
+    if np.ptp(shifts, axis=2).any():
+        raise ModelError(
+            "Schedule: a staged search needs the pilots of a beam at the same place for all combiners that it is held for; "
+            "sweep(..., stagger=...) makes such a schedule"
+        )
+    period = model.waveform.max_delay
+    ranges = period * np.arange(max(1, int(np.ceil(max_delay / period * (1 - 1e-9)))))
+    turned = 2 * np.pi * shifts[:, :, 0].T[:, :, None, None] * ranges[:, None] + phase[:, :, None]
+    return turned.reshape(*phase.shape[:2], -1), (ranges[:, None] + delays).ravel()

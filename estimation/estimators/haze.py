@@ -96,7 +96,7 @@ def apart(model: SignalModel, first: Geometry, second: Geometry) -> tuple[Float,
     for mode in model.bands[0].modes[1:]:
         alike *= squared_coherences(mode.vector(first), mode.vector(second))
     gap = np.abs(first.delay[:, None] - second.delay)
-    period = model.waveform.max_delay
+    period = model.max_delay
     gap = np.minimum(gap, np.abs(period - gap)) if period else gap
     return alike, gap * model.waveform.bandwidth
 

@@ -85,6 +85,7 @@ def mirrored(model: SignalModel) -> SignalModel:
         np.repeat(-schedule.times[::-1], ports),
         time.combiners.conj().reshape(settings * ports, elements),
         index.ravel(),
+        offsets=None if schedule.offsets is None else np.repeat(-schedule.offsets[::-1], ports),
     )
     waveform = replace(model.waveform, frequencies=-model.waveform.frequencies[::-1])
     return SignalModel(waveform, swept, transmitter=model.receiver, receiver=model.transmitter)

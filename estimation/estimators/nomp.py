@@ -91,7 +91,7 @@ class Nomp:
     volume: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        period = self.model.waveform.max_delay
+        period = self.model.max_delay
         longest = period if self.max_delay is None else self.max_delay
         if not 0 <= longest <= period * (1 + 1e-9):
             raise ModelError(

@@ -77,9 +77,12 @@ def points_about(modes: tuple[Mode, ...], lengths: Float, active) -> list[Float]
     diagonal = np.einsum("paa->pa", lengths)
     line = np.where(diagonal > 0, APART / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     steps = []
-    for mode in modes:
+    for row, mode in enumerate(modes):
         total = np.zeros((len(lengths), 1, 6))
         for first in mode.parameters:
+            if row and first == 0:
+                # Shifted pilots tell delays beyond the comb's; within a lobe of the first mode their phase hardly turns.
+                continue
             if first in (0, 5):
                 part = np.zeros((len(lengths), 3, 6))
                 part[:, 1, first], part[:, 2, first] = line[:, first], -line[:, first]
@@ -185,7 +188,7 @@ def outer_grams(vectors, blocks, model: SignalModel):
         part = own.conj() @ other.reshape(len(other), -1, size).swapaxes(1, 2)
         part = part.reshape(len(own), own.shape[1], count, -1)[..., columns[row]]
         total = (total[:, :, None] * part[:, None]).reshape(len(own), -1, count, columns.shape[1])
-    return total
+    return total if columns.shape[1] == 1 else model.merged(total)
 
 
 def _products(factors):

@@ -88,7 +88,7 @@ def canonical(estimator: Settings, model: SignalModel, geometry: Geometry) -> Ge
     from back.
     """
     return replace(
-        geometry.wrapped(model.waveform.max_delay or np.inf),
+        geometry.wrapped(model.max_delay or np.inf),
         arrival=turned(model.receiver, geometry.arrival, estimator.arrival_view)[0],
         departure=turned(model.transmitter, geometry.departure, estimator.departure_view)[0],
     )

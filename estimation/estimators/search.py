@@ -9,7 +9,8 @@ the best cells stay;
 pairs stay;
 3. fully coherent over beams for every AOD.
 
-The decision is left to the likelihood ratio after refinement. Combiner settings held in turn by a beam act as
+Where the pilots shift from symbol to symbol, cells beyond the comb's own range of delays are told apart with the speeds in
+the second stage. The decision is left to the likelihood ratio after refinement. Combiner settings held in turn by a beam act as
 further receive elements.
 """
 
@@ -26,11 +27,12 @@ from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
-from .grids import DelayGrid, View, direction_grid, speed_grid
+from .grids import DelayGrid, View, direction_grid, over_ranges, speed_grid
 from .kernels import add_power, derotated, row_peaks
 from .lobes import RADIUS, LobeMap
 from .polish import CellProjector, ResidualProjector
 from .projector import Projector
+from .realforms import real_pairs, real_product, real_rows, stacked_product
 
 C64 = np.complex64
 RIVAL = 0.35
@@ -58,7 +60,8 @@ class StagedSearch:
 
     Attributes
     ----------
-    delay : delay cells
+    delay : delay cells of one symbol
+    delays : (A * L,) [s] of all symbols together, range by range of one symbol
     arrivals, departures : (A, 3), (D, 3) direction cells
     speeds : (V,) [m/s]
     order : (Q, 2B) where the real, then the imaginary parts of the sweeps of each beam are found
@@ -68,14 +71,17 @@ class StagedSearch:
     arrival_pairs : ((2 * S * M)^2, A) their outer products, in the real form of :func:`real_pairs`
     departure_vectors : (2 * Q, 2 * D) unit-norm beam gains, conjugated, in the real form of
         :func:`real_product`
-    derotation : (Q, 2 * B, 2 * V) phases that undo a trial speed, for stacked real and imaginary parts
-    phase : (V, Q, B) the same as complex numbers
+    derotation : (Q, 2 * B, 2 * A * V) phases that undo a trial speed in one of A ranges of delay, for stacked real and
+        imaginary parts
+    phase : (A * V, Q, B) the same as complex numbers
+    shifts : (snapshots,) [Hz] of the pilots in the order of the slots, or None
     lobes : tells which grid points belong together
     precoders, combiners : (Q, N_T) and S times (M, N_R), in the order of the slots
     full, quick : efforts of the final and of the early passes, in which only strong paths are wanted
     """
 
     delay: DelayGrid
+    delays: Float
     arrivals: Float
     departures: Float
     speeds: Float
@@ -90,6 +96,7 @@ class StagedSearch:
     full: Effort
     precoders: Complex
     combiners: list[Complex] | None
+    shifts: Float | None = None
     quick: Effort = Effort(delays=40, cells=400, pairs=400, candidates=6)
 
     @property
@@ -106,7 +113,8 @@ class StagedSearch:
         """What candidates are polished on."""
         if data.model.subbands > 1:
             return ResidualProjector(data, lin)
-        return CellProjector(data.model, self.delay, filtered, points.delay, self.gather)
+        within = points.delay if self.shifts is None else points.delay % data.model.waveform.max_delay
+        return CellProjector(data.model, self.delay, filtered, within, self.gather)
 
     @staticmethod
     def build(
@@ -124,7 +132,8 @@ class StagedSearch:
         """Prepare the dictionaries; ``retained`` is the least energy a direction keeps in its nearest cell."""
         waveform, schedule = model.waveform, model.schedule
         slots = schedule.slots()
-        delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, max_delay, oversampling)
+        reach = max_delay if schedule.offsets is None else min(max_delay, waveform.max_delay)
+        delay = DelayGrid.build(waveform.frequencies, waveform.spacing, waveform.bandwidth, reach, oversampling)
         time = model.bands[0].modes[1]
         assert isinstance(time, TimeMode) and schedule.precoders is not None and schedule.precoder_index is not None
         settings = [0] if schedule.combiner_index is None else list(schedule.combiner_index[slots[0, 0]])
@@ -146,12 +155,19 @@ class StagedSearch:
         arrival, departure = (v / np.maximum(np.linalg.norm(v, axis=0), 1e-300) for v in vectors)
         speeds = speed_grid(model, max_speed, oversampling)
         phase = -2 * np.pi / waveform.wavelength * schedule.times[slots[:, :, 0]].T[:, :, None] * speeds
+        delays = delay.delays
+        if schedule.offsets is not None:
+            phase, delays = over_ranges(model, slots, phase, delays, max_delay)
         # Where a symbol was lost the search does without those that would make up for it; fits use all that there are.
         gather = None if len(settings) == 1 and slots.size == schedule.symbols else slots.ravel()
         first = slots[:, :, 0]
         order = (first if gather is None else np.arange(first.size).reshape(first.shape)).T
+        shifts = schedule.offsets
+        if shifts is not None and gather is not None:
+            shifts = shifts[first.ravel()]
         return StagedSearch(
             delay,
+            delays,
             arrivals,
             departures,
             speeds,
@@ -162,10 +178,11 @@ class StagedSearch:
             real_product(departure.conj()),
             np.stack([stacked_product(np.exp(1j * q)) for q in phase]),
             np.ascontiguousarray(np.exp(1j * phase).transpose(2, 0, 1)).astype(C64),
-            LobeMap.build(model, delay.delays, arrivals, departures, speeds),
+            LobeMap.build(model, delays, arrivals, departures, speeds),
             Effort(None, keep_cells, keep_pairs, candidates),
             book,
             combiners,
+            shifts,
         )
 
     def filtered(self, data: Projector):
@@ -211,7 +228,10 @@ class StagedSearch:
             chosen = np.sort(largest(np.einsum("lx,lx->l", parts, parts), effort.delays))
             filtered = filtered[chosen]
         delay, arrival, symbols = self._cells(filtered, effort.cells)
-        cell, speed, beams = self._pairs(symbols, effort.pairs)
+        numbers = delay if chosen is None else chosen[delay]
+        if self.shifts is not None:
+            symbols = self._unshifted(symbols, numbers)
+        cell, trial, beams = self._pairs(symbols, effort.pairs)
         best = largest(self._departures(beams), 8 * effort.candidates)
         # All AODs of the best pairs compete again: a pair's second-best beam may be the true one
         # where an array has near-ambiguities.
@@ -219,14 +239,12 @@ class StagedSearch:
         power = part[:, : len(self.departures)] ** 2 + part[:, len(self.departures) :] ** 2
         row, departure = np.unravel_index(largest(power.ravel(), 24 * effort.candidates), power.shape)
         best = best[row]
-        delay = delay[cell[best]]
-        delay = delay if chosen is None else chosen[delay]
-        index = np.stack([delay, arrival[cell[best]], departure, speed[best]])
+        reach, speed = np.divmod(trial[best], len(self.speeds))
+        delay = numbers[cell[best]] + reach * len(self.delay.delays)
+        index = np.stack([delay, arrival[cell[best]], departure, speed])
         kept = self.lobes.first_of_each(index[0], index[1], index[2], index[3], effort.candidates)
         delay, arrival, departure, speed = index[:, kept]
-        return Geometry(
-            self.delay.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed]
-        )
+        return Geometry(self.delays[delay], self.arrivals[arrival], self.departures[departure], self.speeds[speed])
 
     def alternatives(self, model: SignalModel, cells: CellProjector, found: Geometry, energy: Float) -> Geometry:
         """Directions in other lobes that could explain found peaks about as well, at the same delay and speed.
@@ -239,6 +257,8 @@ class StagedSearch:
         order = np.arange(model.schedule.symbols) if self.gather is None else self.gather
         times = model.schedule.times[order].reshape(self.snapshots, -1)
         doppler = np.exp(-2j * np.pi / model.waveform.wavelength * times * found.speed[:, None, None])
+        if self.shifts is not None:
+            doppler *= np.exp(2j * np.pi * self.shifts[:, None] * found.delay[:, None, None])
         still = data * np.repeat(doppler, data.shape[2] // doppler.shape[2], axis=2)
         sweeps = self.phase.shape[2]
         received = self.received(model.heard.response(found.arrival)[0])
@@ -282,6 +302,13 @@ class StagedSearch:
         """The gains (P, Q) of all beams for a transmit response (P, N_T)."""
         return response.conj() @ self.precoders.T
 
+    def _unshifted(self, symbols, delay):
+        """Symbols (cells, 2N) of delay cells with the phases undone that shifted pilots give them."""
+        assert self.shifts is not None
+        real, imag = np.split(symbols, 2, axis=1)
+        turned = (real + 1j * imag) * np.exp(2j * np.pi * self.delay.delays[delay][:, None] * self.shifts)
+        return np.concatenate([turned.real, turned.imag], axis=1, dtype=np.float32)
+
     def _cells(self, filtered, keep: int):
         """Stage 1: delay and AOA numbers of the most energetic cells, and their symbols (cells, 2N): real,
         then imaginary parts.
@@ -302,10 +329,10 @@ class StagedSearch:
         return delay, arrival, symbols
 
     def _pairs(self, symbols, keep: int):
-        """Stage 2: cell and speed numbers of the best pairs, and their derotated beams (pairs, Q)."""
-        energy = np.zeros((len(symbols), len(self.speeds)), np.float32)
+        """Stage 2: cell and speed numbers (range by range) of the best pairs, and their derotated beams (pairs, Q)."""
+        energy = np.zeros((len(symbols), len(self.phase)), np.float32)
         beams, sweeps = self.order.shape
-        rotated = np.empty((CHUNK, 2 * len(self.speeds)), np.float32)
+        rotated = np.empty((CHUNK, 2 * len(self.phase)), np.float32)
         for start in range(0, len(symbols), CHUNK):
             total = energy[start : start + CHUNK]
             swept = np.take(symbols[start : start + CHUNK], self.order.ravel(), axis=1)
@@ -340,41 +367,6 @@ def subtracted(rows, left, right, out):
         # In place; BLAS wants column order, that is the transposes.
         cgemm(-1.0, right.T, left[:, part], 1.0, out[part].T, overwrite_c=True)
     return out
-
-
-def real_product(matrix):
-    """Real form (2n, 2m) of a complex matrix (n, m): interleaved complex rows times it give real, then
-    imaginary parts.
-    """
-    rows = np.empty((2 * matrix.shape[0], 2 * matrix.shape[1]), np.float32)
-    rows[0::2] = np.concatenate([matrix.real, matrix.imag], axis=1)
-    rows[1::2] = np.concatenate([-matrix.imag, matrix.real], axis=1)
-    return rows
-
-
-def stacked_product(matrix):
-    """The same for complex rows given as all real, then all imaginary parts."""
-    rows = real_product(matrix)
-    return np.concatenate([rows[0::2], rows[1::2]])
-
-
-def real_rows(matrix):
-    """Real form (m, 2, 2n) of the columns of (n, m): times interleaved complex columns they give real and
-    imaginary parts.
-    """
-    count = matrix.shape[1]
-    both = real_product(matrix)
-    return np.ascontiguousarray(np.stack([both[:, :count].T, both[:, count:].T], axis=1))
-
-
-def real_pairs(vectors):
-    """Weights ((2M)^2, A) that make ``|sum_m conj(a_m) x_m|^2`` of unit vectors (M, A) from all products of
-    interleaved parts of x.
-    """
-    columns = real_product(vectors.conj())
-    count = vectors.shape[1]
-    real, imag = columns[:, :count], columns[:, count:]
-    return (real[:, None] * real + imag[:, None] * imag).reshape(-1, count)
 
 
 def largest(values, count: int):

@@ -58,7 +58,7 @@ def project_rest(model: SignalModel, partial, modes: list[Complex]):
     """
     partial = contract_rest(partial, modes)
     double = complex if np.iscomplexobj(partial) else float
-    return partial.astype(double)[(..., *(model.columns[row] for row in range(len(modes))))]
+    return model.merged(partial.astype(double)[(..., *(model.columns[row] for row in range(len(modes))))])
 
 
 def contract_rest(partial, modes: list[Complex]):
@@ -97,7 +97,8 @@ def gram(model: SignalModel, blocks: Blocks, other: Blocks | None = None, plain:
             kept = columns[row] if left.shape[1] > 1 else np.zeros(1, int)
             product = product * inner[:, kept][:, :, :, others_columns[row]]
         total = total + product
-    return total
+    total = total if total.shape[1] == 1 else model.merged(total, 1)
+    return total if total.shape[3] == 1 else model.merged(total, 3)
 
 
 def gram_diagonal(model: SignalModel, blocks: Blocks, plain: bool = False) -> Complex:
@@ -110,7 +111,7 @@ def gram_diagonal(model: SignalModel, blocks: Blocks, plain: bool = False) -> Co
             inner = np.matmul(block.conj(), _weighted(model, row, block).swapaxes(1, 2))
             product = product * inner[:, columns[row]][:, :, columns[row]]
         total = total + product
-    return total
+    return total if plain else model.merged(model.merged(total, 1), 2)
 
 
 def coherence(model: SignalModel, geometry: Geometry):

@@ -115,16 +115,28 @@ class SignalModel:
         return tuple(Band(b, float(s), (DelayMode(frequencies[b]), *rest)) for b, s in zip(blocks, scales, strict=True))
 
     @cached_property
+    def max_delay(self) -> float:
+        """Unambiguous delay range [s] of all symbols' pilots together."""
+        return self.waveform.reach(self.schedule.offsets)
+
+    @cached_property
     def columns(self) -> np.typing.NDArray[np.intp]:
-        """(modes, 7) derivative column of each mode for (value, six parameters); 0 where a mode does not
-        depend on it.
+        """(modes, 7 or 8) derivative column of each mode for (value, six parameters); 0 where a mode does not
+        depend on it. Where two modes depend on the delay, the second's part of the product rule is the eighth.
         """
         modes = self.bands[0].modes
-        columns = np.zeros((len(modes), 7), int)
+        columns = np.zeros((len(modes), 7 if self.schedule.offsets is None else 8), int)
         for row, mode in enumerate(modes):
             for column, parameter in enumerate(mode.parameters):
-                columns[row, 1 + parameter] = 1 + column
+                columns[row, 7 if row and parameter == 0 else 1 + parameter] = 1 + column
         return columns
+
+    def merged(self, terms: Complex, axis: int = -1) -> Complex:
+        """Inner products with an axis of the length of ``columns`` as those with signature and derivatives (7)."""
+        if terms.shape[axis] == 7:
+            return terms
+        value, delay, *rest, other = np.split(terms, terms.shape[axis], axis=axis)
+        return np.concatenate([value, delay + other, *rest], axis=axis)
 
     def _other_modes(self) -> tuple[Mode, ...]:
         schedule = self.schedule
@@ -146,7 +158,7 @@ class SignalModel:
                 "combiner_index": schedule.combiner_index,
             }
         )
-        time = TimeMode(schedule.times, self.waveform.wavelength, **swept, **combined)
+        time = TimeMode(schedule.times, self.waveform.wavelength, **swept, **combined, offsets=schedule.offsets)
         receive = () if combined else (ReceiveMode(self.heard),)
         transmit = () if swept else (TransmitMode(self.transmitter),)
         return (time, *receive, *transmit)

@@ -11,6 +11,8 @@ the list of modes.
 | digital at both ends           | delay x time(speed) x receive(AOA) x transmit(AOD)          |
 | swept beams, digital receiver  | delay x time(AOD, speed) x receive(AOA)                     |
 | eq. (2) with p_n and W_n       | delay x time(AOA, AOD, speed), over symbols and ports       |
+
+Where the pilots shift from symbol to symbol (``offsets``), the time mode depends on the delay, too.
 """
 
 from __future__ import annotations
@@ -129,6 +131,7 @@ class TimeMode:
     transmitter, precoders, precoder_index : array, (Q, N_T) and (N,), or None
     receiver, combiners, combiner_index : array, (S, M, N_R) already conjugate-transposed and whitened, and
         (N,), or None
+    offsets : (N,) shifts of the pilots [Hz], or None
     """
 
     times: Float
@@ -139,13 +142,14 @@ class TimeMode:
     receiver: Manifold | None = None
     combiners: Complex | None = None
     combiner_index: np.typing.NDArray | None = None
+    offsets: Float | None = None
 
     @property
     def parameters(self) -> tuple[int, ...]:
-        """AOA if combined, AOD if precoded, and the speed."""
+        """AOA if combined, AOD if precoded, the speed, and the delay if the pilots shift."""
         arrival = () if self.receiver is None else ARRIVAL
         departure = () if self.transmitter is None else DEPARTURE
-        return (*arrival, *departure, *SPEED)
+        return (*arrival, *departure, *SPEED, *(() if self.offsets is None else DELAY))
 
     @property
     def ports(self) -> int:
@@ -159,8 +163,11 @@ class TimeMode:
 
     def evaluate(self, geometry: Geometry, scale: float = 1.0) -> Complex:
         """Vector and derivatives in the order of ``parameters``, (P, 1 + c, N * M)."""
-        rate = 2j * np.pi * scale / self.wavelength * self.times
-        doppler = np.exp(rate * geometry.speed[:, None])
+        rates = [2j * np.pi * scale / self.wavelength * self.times]
+        doppler = np.exp(rates[0] * geometry.speed[:, None])
+        if self.offsets is not None:
+            rates.append(-2j * np.pi * self.offsets)
+            doppler *= np.exp(rates[1] * geometry.delay[:, None])
         if self.transmitter is None or self.precoders is None:
             beams = np.ones((len(geometry), 1, len(self.times)))
         else:
@@ -168,13 +175,13 @@ class TimeMode:
             beams = (departure @ self.precoders.T)[:, :, self.precoder_index]
         timed = beams * doppler[:, None]
         if self.receiver is None or self.combiners is None:
-            return np.concatenate([timed, rate * timed[:, :1]], axis=1)
+            return np.concatenate([timed, *(rate * timed[:, :1] for rate in rates)], axis=1)
         arrival = _block(self.receiver, geometry.arrival, scale)
         ports = np.einsum("smr,pcr->pcsm", self.combiners, arrival)[:, :, self.combiner_index]
         columns = [
             timed[:, :1, :, None] * ports,
             timed[:, 1:, :, None] * ports[:, :1],
-            (rate * timed[:, :1])[..., None] * ports[:, :1],
+            *((rate * timed[:, :1])[..., None] * ports[:, :1] for rate in rates),
         ]
         return np.concatenate(columns, axis=1).reshape(len(geometry), 1 + len(self.parameters), self.size)
 
@@ -182,6 +189,8 @@ class TimeMode:
         """The vector alone (P, N * M)."""
         transmitter, precoders, receiver, combiners = self.transmitter, self.precoders, self.receiver, self.combiners
         timed = np.exp(2j * np.pi / self.wavelength * self.times * geometry.speed[:, None])
+        if self.offsets is not None:
+            timed *= np.exp(-2j * np.pi * self.offsets * geometry.delay[:, None])
         if transmitter is not None and precoders is not None:
             sent = transmitter.response(geometry.departure)[0].conj() @ precoders.T
             timed = timed * sent[:, self.precoder_index]

@@ -2,7 +2,8 @@
 
 Symbol ``n`` is at ``times[n]`` (relative to the burst center), is precoded with the pilot vector ``p_n`` and
 combined with the matrix ``W_n`` of eq. (2). Both are codebooks with an index per symbol; either may be
-absent, and that end is then fully digital.
+absent, and that end is then fully digital. Its pilots may lie beside those of the waveform, as in the staggered combs of
+positioning signals (:mod:`~.nr`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class Schedule:
     precoder_index : (N,) row of ``precoders`` used by each symbol
     combiners : (S, N_R, M) combining matrices, or None for a digital receiver
     combiner_index : (N,) which combiner each symbol uses
+    offsets : (N,) by how much the pilots of each symbol lie above the waveform's [Hz], or None for not at all
     """
 
     times: Float
@@ -38,12 +40,21 @@ class Schedule:
     precoder_index: Index | None = None
     combiners: Complex | None = None
     combiner_index: Index | None = None
+    offsets: Float | None = None
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, float)
         if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
             raise ModelError("Schedule: times must be a finite vector (N,) in seconds")
         object.__setattr__(self, "times", times - 0.5 * (times.min() + times.max()))
+        if self.offsets is not None:
+            offsets = np.asarray(self.offsets, float)
+            if offsets.shape != times.shape or not np.isfinite(offsets).all():
+                raise ModelError(
+                    f"Schedule: offsets must be a finite frequency in Hz for each of {len(times)} symbols, got shape "
+                    f"{offsets.shape}"
+                )
+            object.__setattr__(self, "offsets", offsets if offsets.any() else None)
         for name, dimensions in (("precoder", 2), ("combiner", 3)):
             book, index = getattr(self, name + "s"), getattr(self, name + "_index")
             if book is None:
@@ -105,6 +116,7 @@ def sweep(
     order: str = "permuted",
     combiners: Complex | None = None,
     rng: np.random.Generator | None = None,
+    stagger: Float | None = None,
 ) -> Schedule:
     """All ``beams`` (Q, N_T), ``sweeps`` times, one symbol each ``period`` [s].
 
@@ -112,7 +124,8 @@ def sweep(
     ambiguity);
     ``same_permutation``; ``dwell`` (all repetitions of a beam in a row). With ``combiners`` (S, N_R, M) each
     beam is held for the S
-    combiners in turn, which keeps the combiners of one beam close in time.
+    combiners in turn, which keeps the combiners of one beam close in time. With ``stagger`` (L,) it is held for L symbols
+    (times S) whose pilots are shifted by so much [Hz]: one whole pattern of a staggered comb.
     """
     beams = np.asarray(beams, complex)
     if order not in ORDERS:
@@ -122,6 +135,7 @@ def sweep(
             raise ModelError(f"sweep: order {order!r} needs rng=np.random.default_rng(seed)")
         rng = np.random.default_rng(0)  # never drawn from
     count, settings = len(beams), 1 if combiners is None else len(combiners)
+    shifts = np.zeros(1) if stagger is None else np.asarray(stagger, float)
     if order == "dwell":
         index = np.repeat(np.arange(count), sweeps)
     elif order == "permuted":
@@ -130,13 +144,31 @@ def sweep(
         index = np.tile(rng.permutation(count), sweeps)
     else:
         index = np.tile(np.arange(count), sweeps)
-    times = period * np.arange(count * sweeps * settings)
+    held = len(shifts) * settings
+    times = period * np.arange(count * sweeps * held)
     return Schedule(
         times,
         beams,
-        np.repeat(index, settings),
+        np.repeat(index, held),
         combiners,
-        None if combiners is None else np.tile(np.arange(settings), count * sweeps),
+        None if combiners is None else np.tile(np.arange(settings), count * sweeps * len(shifts)),
+        None if stagger is None else np.tile(np.repeat(shifts, settings), count * sweeps),
+    )
+
+
+def simultaneous(elements: int, symbols: int, period: float, stagger: Float | None = None) -> Schedule:
+    """``symbols`` symbols every ``period`` [s] in each of which all ``elements`` send and can be told apart (by cyclic shifts
+    or covers, as the ports of an SRS): each is a precoder of its own at that time, the first element's symbol first.
+
+    ``stagger`` (L,) are the shifts of the pilots [Hz] from symbol to symbol, over and over.
+    """
+    times = period * np.arange(symbols)
+    shifts = None if stagger is None else np.resize(np.asarray(stagger, float), symbols)
+    return Schedule(
+        np.repeat(times, elements),
+        antenna_switching(elements),
+        np.tile(np.arange(elements), symbols),
+        offsets=None if shifts is None else np.repeat(shifts, elements),
     )
 
 

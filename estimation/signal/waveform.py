@@ -65,9 +65,16 @@ class Waveform:
         """Unambiguous delay range [s]: the reciprocal of the pilot spacing (of the smallest one for a
         non-uniform comb).
         """
+        return self.reach()
+
+    def reach(self, offsets: Float | None = None) -> float:
+        """The same of pilots that are shifted by ``offsets`` (N,) [Hz] from symbol to symbol, all symbols together."""
         if self.subcarriers < 2:
             return 0.0
-        return 1.0 / (self.spacing or float(np.min(np.diff(self.frequencies))))
+        if offsets is None:
+            return 1.0 / (self.spacing or float(np.min(np.diff(self.frequencies))))
+        every = np.unique(np.round((self.frequencies + np.unique(offsets)[:, None]).ravel(), 3))  # to a millihertz
+        return 1.0 / float(np.min(np.diff(every)))
 
 
 def comb(carrier: float, spacing: float, pilots: int, step: int = 1) -> Waveform:

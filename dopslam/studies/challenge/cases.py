@@ -107,7 +107,7 @@ def detections_of(
     """
     model, noise = link.signal_model(scenario), link.noise_variance(scenario)
     speed = scenario.estimator.max_radial_velocity
-    reach = model.waveform.max_delay or float(paths.tau.max(initial=0.0)) * 2
+    reach = model.max_delay or float(paths.tau.max(initial=0.0)) * 2
     further = np.diag(np.square(calibration * _SCALE))
     tables, covariances, strengths, labels = [], [], [], []
     for step in range(track.steps):
@@ -134,7 +134,7 @@ def detections_of(
     rho = np.concatenate(strengths)
     series = DetectionSeries(
         offsets=edges_of(counts),
-        delay=z[:, 0] % reach if model.waveform.max_delay else z[:, 0],
+        delay=z[:, 0] % reach if model.max_delay else z[:, 0],
         aoa=np.column_stack([wrap(z[:, 1]), z[:, 2]]),
         aod=np.column_stack([wrap(z[:, 3]), z[:, 4]]),
         radial_velocity=z[:, 5],
@@ -146,7 +146,7 @@ def detections_of(
         false_alarm_rate=FALSE,
         search_volume=reach * SPEED_OF_LIGHT * (2 * np.pi * np.pi) ** 2 * 2 * speed,
         time=track.time,
-        delay_range=model.waveform.max_delay or np.inf,
+        delay_range=model.max_delay or np.inf,
     )
     return series, np.concatenate(labels).astype(np.int64)
 
