@@ -35,7 +35,7 @@ VERBS = {
     "dataset": "Make a large dataset in shards: many positions, resumable, the same whoever makes it.",
     "check": "Say everything that is wrong with a scene, before it runs, or with a dataset.",
     "import": "Turn foreign detections (CSV, MATLAB) into a dataset file that slam runs on.",
-    "export": "Write a dataset, map or run for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV, GeoJSON, glTF, PLY, MCAP.",
+    "export": "Write a dataset, map or run for other programs: MATLAB, DeepMIMO, TUM, SigMF, CSV, GeoJSON, glTF, PLY, MCAP, Rerun.",
     "sweep": "Repeat a Monte Carlo study over values of scenario keys: one table, one figure.",
     "scenes": "List the scenes that ship.",
     "keys": "List the keys of a scenario with their ranges and defaults.",

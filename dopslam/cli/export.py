@@ -25,7 +25,8 @@ def export(
     to
         mat: flat tables for MATLAB. deepmimo: matrices of DeepMIMO v4. tum: trajectories. sigmf: the signal. csv: true
         paths and positions, tracks and maps of the filters. geojson, gltf, ply: the map of every filter with its walls.
-        mcap: its run as ROS 2 messages. drives: a dataset file for every drive, which slam, bound and evaluate take.
+        mcap: its run as ROS 2 messages. rrd: as a recording for the Rerun viewer.
+        drives: a dataset file for every drive, which slam, bound and evaluate take.
         module:Class or file.py:Class is one of your own.
     out
         Folder to make.

@@ -30,6 +30,7 @@ FORMATS = Table(
         "gltf": "dopslam.formats.mesh:Gltf",
         "ply": "dopslam.formats.mesh:Ply",
         "mcap": "dopslam.formats.mcap:Mcap",
+        "rrd": "dopslam.formats.rrd:Rrd",
         "drives": "dopslam.formats.drives:Drives",
         "table": "dopslam.formats.table:ForeignTable",
     },

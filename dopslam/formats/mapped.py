@@ -31,6 +31,7 @@ class Mapped:
     walls : of the final map
     last : rows of the history that the final map reports
     period : s, between two steps
+    threshold : least existence of what a map reports
     """
 
     name: str
@@ -42,6 +43,7 @@ class Mapped:
     walls: Walls
     last: np.ndarray
     period: float
+    threshold: float
 
 
 def runs_of(parts: list[Part]) -> Iterator[Mapped]:
@@ -78,4 +80,5 @@ def _mapped(part: Part, group: str) -> Mapped:
         walls=walls_of(scenario, history),
         last=rows[history.existence[rows] > scenario.filter.report_existence],
         period=scenario.track.period,
+        threshold=scenario.filter.report_existence,
     )

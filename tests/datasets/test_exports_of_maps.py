@@ -113,6 +113,29 @@ def test_a_log_is_read_back_as_ros_2_messages(run, tmp_path):
     assert scan.header.stamp.sec + 1e-9 * scan.header.stamp.nanosec == pytest.approx(series.time[2])
 
 
+def test_a_recording_is_read_back_by_rerun(run, tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun-sdk, 170 MB (pip install 'dopslam[rerun]')")
+    from rerun.chunk import RrdReader
+
+    (file,) = export(run, tmp_path / "r", "rrd")
+    found: dict[str, list] = {}
+    for chunk in RrdReader(file).stream():
+        batch = chunk.to_record_batch()
+        for row in batch.to_pylist():
+            found.setdefault(chunk.entity_path, []).append(row)
+    history, walls = dataset.read_record(run, "slam_joint", History), dataset.read_record(run, "walls_joint", Walls)
+    rows = sorted(found["/slam/receiver"], key=lambda row: row["step"])
+    assert [row["step"] for row in rows] == list(range(1, history.steps + 1))
+    np.testing.assert_allclose([row["Points3D:positions"][0][:2] for row in rows], history.mean[:, :2], rtol=1e-6)
+    last = max(found["/slam/walls"], key=lambda row: row["step"])
+    np.testing.assert_allclose(last["Mesh3D:vertex_positions"], walls.corners.reshape(-1, 3), rtol=1e-5, atol=1e-3)
+    assert len(last["Mesh3D:triangle_indices"]) == 2 * len(walls)
+    spread = max(found["/slam/uncertainty"], key=lambda row: row["step"])
+    half = 2.4477 * np.sqrt(np.linalg.eigvalsh(history.covariance[-1][:2, :2]))
+    np.testing.assert_allclose(sorted(spread["Ellipsoids3D:half_sizes"][0])[1:], half, rtol=1e-4)
+    assert len(found["/truth/receiver"]) == len(found["/error/position_m"]) == history.steps
+
+
 def test_returns_are_where_rep_103_puts_them():
     """A car drives north; a mast to its left, higher than it, and ahead of it: in base_link x forward, y left, z up."""
     car, heading, speed = np.array([5.0, 2.0, 1.5]), np.pi / 2, 10.0
