@@ -177,6 +177,27 @@ def wall_errors(
     return partner, distance, angle
 
 
+def wall_names(found: Walls, landmarks: Landmarks, radius: float) -> list[str | None]:
+    """Names of the true walls that the found ones are, within ``radius`` [m] and 10° of them; None for those of no wall."""
+    partner, distance, angle = wall_errors(found, landmarks, landmarks.position[landmarks.kind == Kind.BS][0])
+    near = (distance <= radius) & (angle <= LARGEST_TURN)
+    return [str(landmarks.name[p]).removeprefix("VA ") if n else None for p, n in zip(partner, near, strict=True)]
+
+
+def wall_list(found: Walls, landmarks: Landmarks, radius: float) -> list[dict]:
+    """Wall by wall, the widest seen first, what was found: its ``name`` (:func:`wall_names`), the ``width_m`` that was seen of
+    it, how far off it lies (``distance_m``, ``angle_deg``) and what the filter thinks of that (``std_m``).
+    """
+    names = wall_names(found, landmarks, radius)
+    _, distance, angle = wall_errors(found, landmarks, landmarks.position[landmarks.kind == Kind.BS][0])
+    width = np.linalg.norm(found.corners[:, 1] - found.corners[:, 0], axis=-1)
+    listed = []
+    for i in np.argsort(-width, kind="stable").tolist():
+        off = {"distance_m": float(distance[i]), "angle_deg": float(np.degrees(angle[i]))} if names[i] else {}
+        listed.append({"name": names[i], "width_m": float(width[i]), "std_m": float(found.deviation[i]), **off})
+    return listed
+
+
 def wall_figures(found: Walls, landmarks: Landmarks, radius: float) -> dict:
     """The figures of ``summary.json``: walls within ``radius`` [m] and 10° of a true one, and how far off those are.
 

@@ -291,7 +291,14 @@ def report(path: Path, target: Path, summary: dict, evaluations: dict[str, Evalu
     if align:
         found = {name: aligned(history, track)[0] for name, history in found.items()}
     mesh = dataset.read_record(path, "mesh", Mesh).triangles if "mesh" in dataset.groups(path) else None
-    shown = replay.replay(*truth, found, mesh, scenario.receiver.height, scenario.filter.report_existence)
+    shown = replay.replay(
+        *truth,
+        found,
+        mesh,
+        scenario.receiver.height,
+        scenario.filter.report_existence,
+        scenario.evaluation.found_radius,
+    )
     main = summary["filter"]
     with figures.house_style():
         drawn = {

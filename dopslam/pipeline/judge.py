@@ -12,7 +12,7 @@ from dopslam.evaluate import community, mapping
 from dopslam.evaluate import detections as matching
 from dopslam.evaluate.bounds import Bound
 from dopslam.evaluate.run import Evaluation, evaluate_run, summarize
-from dopslam.evaluate.walls import Walls, wall_figures, walls
+from dopslam.evaluate.walls import Walls, wall_figures, wall_list, walls
 from dopslam.filters import FILTERS
 from dopslam.pipeline import link
 from dopslam.pipeline.problem import chosen_filter
@@ -100,6 +100,7 @@ def judged(
         | ({"nis_per_row": histories[name].nis_per_row} if np.isfinite(histories[name].nis_per_row) else {})
         | {"detections_passed_over": histories[name].passed_over}
         | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
+        | {"walls": wall_list(walls_of(scenario, histories[name]), landmarks, radius)}
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }

@@ -24,7 +24,15 @@ LEGEND = (
     ("#9aa5b1", "true rays of the step"),
     ("#d55e00", "base station"),
 )
-LAYERS = (("scene", "scene"), ("rays", "true rays"), ("map", "map"), ("walls", "walls found"), ("truth", "truth"))
+LAYERS = (
+    ("scene", "scene"),
+    ("rays", "true rays"),
+    ("map", "map"),
+    ("walls", "walls found"),
+    ("truth", "truth"),
+    ("names", "names"),
+)
+LISTED = 12  # walls that are told one by one
 
 
 def report_page(
@@ -50,6 +58,7 @@ def report_page(
         f"<header><h1>{escape(title)}</h1>{''.join(f'<p>{escape(line)}</p>' for line in _subtitle(summary, replay))}</header>",
         _lead(summary),
         _replay_section(),
+        _walls_section(summary, replay),
         f'<section><h2>Errors beside their bounds</h2><div class="scroll">{_table(table)}</div>{_reading(summary)}</section>',
         f'<section><h2>Figures</h2><div class="figures">{"".join(_svg(n, f) for n, f in figures.items())}</div></section>',
         _details("Configuration", configuration),
@@ -78,9 +87,11 @@ def _subtitle(summary: Mapping, replay: Mapping) -> list[str]:
     way = sum(math.dist(a, b) for a, b in pairwise(track))
     spent = sum(summary.get("seconds", {}).values())
     made = f", computed in {spent:.0f} s" if spent else ""
+    (x, y, *_), (u, v, *_) = track[0], track[-1]
     return [
-        f"A receiver moved {length_text(way)} in {moment[-1] - moment[0]:.1f} s. From the echoes of one base station it found "
-        "where it was, which way it faced, and the walls and objects around it.",
+        f"A receiver moved {length_text(way)} in {moment[-1] - moment[0]:.1f} s, from x {x:.1f}, y {y:.1f} m to x {u:.1f}, "
+        f"y {v:.1f} m. From the echoes of one base station it found where it was, which way it faced, and the walls and "
+        "objects around it.",
         f"Filter {summary['filter']}{made}.",
     ]
 
@@ -96,13 +107,17 @@ def length_text(meters: float) -> str:
 def _cards(summary: Mapping) -> str:
     """The figures that a stranger asks for first."""
     v = summary["variants"][summary["filter"]]
-    ratio, nees = v.get("rmse_over_bound", {}).get("position"), v["nees"]
-    beside = f"{ratio:.2f} times the bound" if ratio is not None and math.isfinite(ratio) else ""
+    ratios, nees = v.get("rmse_over_bound", {}), v["nees"]
+
+    def beside(part: str) -> str:
+        ratio = ratios.get(part)
+        return f"{ratio:.2f} times the bound" if ratio is not None and math.isfinite(ratio) else ""
+
     off = v.get("wall_distance_m")
     trust = "about right" if 2 <= nees <= 8 else "too narrow" if nees > 8 else "too wide"
     cards = [
-        (length_text(v["position_rmse_m"]), "position error", beside),
-        (f"{v['heading_rmse_deg']:.3f}°", "heading error", ""),
+        (length_text(v["position_rmse_m"]), "position error", beside("position")),
+        (f"{v['heading_rmse_deg']:.3f}°", "heading error", beside("heading")),
         (
             f"{v.get('walls_found', v['va_found'])} of {v.get('walls_total', v['va_total'])}",
             "walls found",
@@ -162,6 +177,33 @@ def _replay_section() -> str:
         '<label class="wide">show uncertainty larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
         f'value="0"></label>{boxes}</div><ul class="legend">{legend}</ul></section>'
     )
+
+
+def _walls_section(summary: Mapping, replay: Mapping) -> str:
+    """Which walls were found, one by one, and which were not; nothing where no wall is known."""
+    v = summary["variants"][summary["filter"]]
+    if not v.get("walls_total") or "walls" not in v:
+        return ""
+    rows = [["wall", "seen over", "off by", "turned by", "its own ±"]]
+    true = [wall for wall in v["walls"] if wall["name"]]
+    for wall in true[:LISTED]:
+        off, turned = length_text(wall["distance_m"]), f"{wall['angle_deg']:.2f}°"
+        rows.append([wall["name"], length_text(wall["width_m"]), off, turned, f"± {length_text(1.96 * wall['std_m'])}"])
+    found = {wall["name"] for wall in true}
+    walls = [
+        mark["name"].removeprefix("VA ") for mark in replay["landmarks"] if mark["kind"] == 1 and mark["order"] == 1
+    ]
+    missed = [name for name in walls if name not in found]
+    notes = [f"{len(true) - LISTED} more were found." if len(true) > LISTED else ""]
+    if missed:
+        more = f" and {len(missed) - LISTED} more" if len(missed) > LISTED else ""
+        notes.append(f"Not found: {', '.join(missed[:LISTED])}{more}.")
+    if false := len(v["walls"]) - len(true):
+        notes.append(f"{false} of its walls {'is' if false == 1 else 'are'} none.")
+    notes.append("Off and turned are from the true wall; ± is what the filter itself says, for 95 %.")
+    told = " ".join(note for note in notes if note)
+    table = f'<div class="scroll">{_table(rows)}</div>' if true else ""
+    return f'<section><h2>Walls it found</h2>{table}<p class="note">{escape(told)}</p></section>'
 
 
 def _table(rows: list[list[str]]) -> str:

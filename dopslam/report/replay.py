@@ -2,8 +2,8 @@
 
 Lengths in meters, world frame, z up; rounded to a millimeter, which is less than a pixel. A map row is
 ``[x, y, z, kind, existence, ix, iy, iz, l11, l21, l22, l31, l32, l33]``: landmark, interaction point of its path, and the
-Cholesky factor of its covariance. A wall is ``[corners, shift]``: four points, and the vector along its normal to the edge
-of the band that holds 95 % of its distance.
+Cholesky factor of its covariance. A wall is ``[corners, shift, name]``: four points, the vector along its normal to the edge
+of the band that holds 95 % of its distance, and the name of the true wall that it is, empty where it is none.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dopslam.evaluate.walls import Walls, plane_of, walls
+from dopslam.evaluate.walls import Walls, plane_of, wall_names, walls
 from dopslam.models.paths import incidence
 from dopslam.records import FloorPlan, Kind, Landmarks, Paths, Track
 from dopslam.slam.history import History
@@ -31,6 +31,7 @@ def replay(
     triangles: np.ndarray | None = None,
     height: float = 0.0,
     threshold: float = 0.5,
+    radius: float = 3.0,
 ) -> dict:
     """The tree that ``replay.js`` draws.
 
@@ -41,6 +42,7 @@ def replay(
     triangles : (T, 3, 3) m, the scene; None where it is not at hand
     height : m, of the receiver
     threshold : least existence of a landmark that is shown
+    radius : m, within which a wall that was found has the name of the true one
     """
     base_station = landmarks.position[landmarks.kind == Kind.BS][0]
     if triangles is not None and len(triangles) > LARGEST_MESH:
@@ -59,7 +61,9 @@ def replay(
         "mesh": None if triangles is None else _packed(triangles),
         "lit": {} if triangles is None else _lit(triangles, landmarks, base_station),
         "outlines": [] if plan is None else _outlines(plan),
-        "filters": {name: _filter(history, base_station, height, threshold) for name, history in histories.items()},
+        "filters": {
+            name: _filter(history, landmarks, height, threshold, radius) for name, history in histories.items()
+        },
     }
 
 
@@ -104,20 +108,24 @@ def _outlines(plan: FloorPlan) -> list:
     return [_round(plan.points[plan.offsets[w] : plan.offsets[w + 1]]) for w in range(len(plan.name))]
 
 
-def _filter(history: History, base_station: np.ndarray, height: float, threshold: float) -> dict:
+def _filter(history: History, landmarks: Landmarks, height: float, threshold: float, radius: float) -> dict:
+    base_station = landmarks.position[landmarks.kind == Kind.BS][0]
     receiver = np.column_stack([history.mean[:, :2], np.full(history.steps, height)])
     return {
         "position": _round(receiver),
         "heading": _round(history.mean[:, 2], 4),
         "factor": _round(np.array([_factor(c[:2, :2])[np.tril_indices(2)] for c in history.covariance]), 4),
         "map": [_map(history, k, receiver[k], base_station, threshold) for k in range(history.steps)],
-        "walls": [_walls(walls(history, base_station, height, k, threshold)) for k in range(history.steps)],
+        "walls": [
+            _walls(walls(history, base_station, height, k, threshold), landmarks, radius) for k in range(history.steps)
+        ],
     }
 
 
-def _walls(found: Walls) -> list:
+def _walls(found: Walls, landmarks: Landmarks, radius: float) -> list:
     shift = 1.96 * found.deviation[:, None] * found.normal
-    return [[_round(c), _round(s, 4)] for c, s in zip(found.corners, shift, strict=True)]
+    names = wall_names(found, landmarks, radius)
+    return [[_round(c), _round(s, 4), name or ""] for c, s, name in zip(found.corners, shift, names, strict=True)]
 
 
 def _factor(covariance: np.ndarray) -> np.ndarray:

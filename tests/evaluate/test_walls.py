@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dopslam.evaluate.walls import plane_jacobian, plane_of, true_walls, wall_errors, wall_figures, walls
+from dopslam.evaluate.walls import plane_jacobian, plane_of, true_walls, wall_errors, wall_figures, wall_list, walls
 from dopslam.records import Kind, Landmarks, Track
 from dopslam.slam import history as histories
 
@@ -119,3 +119,14 @@ def test_the_band_of_a_wall_holds_95_of_100_draws():
     normal, offset = plane_of(BS, WALL + rng.normal(scale=np.sqrt(spread), size=(4000, 3)))
     share = np.mean(np.abs(normal @ found.center[0] - offset) < 1.96 * found.deviation[0])
     assert 0.93 < share < 0.97
+
+
+def test_walls_are_told_one_by_one_the_widest_first_and_a_wall_of_nothing_has_no_name():
+    ghost = WALL + np.array([0, 90.0, 0])
+    found = walls(made([ghost, WALL + np.array([0.2, 0, 0])]), BS, 1.5)
+    listed = wall_list(found, landmarks(WALL), 1.0)
+    assert sorted(str(wall["name"]) for wall in listed) == ["0", "None"]
+    (true,) = (wall for wall in listed if wall["name"])
+    np.testing.assert_allclose([true["distance_m"], true["angle_deg"]], [0.1, 0.0], atol=1e-9)
+    assert listed[0]["width_m"] >= listed[1]["width_m"] and true["std_m"] > 0
+    assert "distance_m" not in next(wall for wall in listed if not wall["name"])

@@ -51,6 +51,13 @@ def test_a_stranger_is_told_where_it_went_what_was_found_and_how_good_it_is(page
     assert "4 expected" in told["its own error bars"][1]
     assert re.search(r"A receiver moved 5[0-9]\.\d\d m in 2\.5 s", text)  # 22.22 m/s
     assert text.count("<figcaption>") == 3
+    true = [wall for wall in summary["walls"] if wall["name"]]
+    assert len(true) == summary["walls_found"] > 0
+    for wall in true:
+        row = (
+            f"<td>{wall['name']}</td><td>{length_text(wall['width_m'])}</td><td>{length_text(wall['distance_m'])}</td>"
+        )
+        assert row in text
 
 
 @pytest.mark.parametrize(
@@ -78,6 +85,8 @@ def test_the_replay_shows_a_step_without_errors(page, step, tmp_path):
     assert 'data-ready="yes"' in done.stdout, done.stderr[-2000:]
     assert f"step {step} of 6" in done.stdout
     assert "data-error" not in done.stdout and ":CONSOLE" not in done.stderr
+    tags = re.findall(r'<div class="tag"[^>]*>([^<]*)</div>', done.stdout)
+    assert {"base station", "receiver, at the end" if step == 6 else "receiver"} <= set(tags)
 
 
 @pytest.mark.rt

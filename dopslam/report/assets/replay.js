@@ -11,7 +11,7 @@
   const KIND = ["base station", "virtual anchor", "scatter point", "second reflection"];
   const names = Object.keys(data.filters);
   const steps = data.truth.position.length;
-  const state = { step: 0, filter: names[0], enlarge: 1, playing: false, show: { scene: true, rays: true, map: true, truth: true, walls: true } };
+  const state = { step: 0, filter: names[0], enlarge: 1, playing: false, show: { scene: true, rays: true, map: true, truth: true, walls: true, names: true } };
   window.replay = state; // for tests and for the curious
 
   let renderer;
@@ -31,25 +31,57 @@
   scene.add(sun);
 
   // The view frames what a person wants to see: track, base station and what the rays touch, not far virtual anchors.
+  const framed = [...data.truth.position, data.bs];
+  data.rays.forEach((rays) => rays.forEach((ray) => framed.push(...ray[1])));
+  if (!data.rays.length) framed.push(...data.landmarks.filter((l) => l.kind === 2).map((l) => l.position));
+  names.forEach((n) => data.filters[n].walls[steps - 1].forEach((wall) => { if (wall[2]) framed.push(...wall[0]); }));
   const frame = new THREE.Box3();
-  data.truth.position.forEach((p) => frame.expandByPoint(new THREE.Vector3(...p)));
-  frame.expandByPoint(new THREE.Vector3(...data.bs));
-  data.rays.forEach((rays) => rays.forEach((ray) => ray[1].forEach((p) => frame.expandByPoint(new THREE.Vector3(...p)))));
-  if (!data.rays.length) data.landmarks.filter((l) => l.kind === 2).forEach((l) => frame.expandByPoint(new THREE.Vector3(...l.position)));
+  framed.forEach((p) => frame.expandByPoint(new THREE.Vector3(...p)));
   const center = frame.getCenter(new THREE.Vector3());
   const size = Math.max(frame.getSize(new THREE.Vector3()).length(), 1);
   const camera = new THREE.PerspectiveCamera(45, 1, size / 2000, size * 40);
   camera.up.set(0, 0, 1);
-  const shape = stage.clientWidth / height(stage.clientWidth);
-  const far = Math.max(0.92, 1.45 / shape); // a phone held upright sees less to the sides
-  camera.position.set(center.x - 0.2 * far * size, center.y - 0.6 * far * size, center.z + 0.8 * far * size);
+  camera.aspect = stage.clientWidth / height(stage.clientWidth);
+  camera.updateProjectionMatrix();
   const controls = new THREE.OrbitControls(camera, renderer.domElement);
   controls.target.copy(center);
-  controls.update(); // turns the camera there
+  for (let far = 0.4; far < 8; far *= 1.06) { // as near as shows all of it; a phone held upright sees less to the sides
+    camera.position.set(center.x - 0.2 * far * size, center.y - 0.6 * far * size, center.z + 0.8 * far * size);
+    controls.update(); // turns the camera there
+    camera.updateMatrixWorld();
+    if (fits()) break;
+  }
   controls.addEventListener("change", draw);
 
   const group = {};
   ["scene", "lit", "truth", "rays", "map", "walls", "now"].forEach((key) => scene.add((group[key] = new THREE.Group())));
+
+  function fits() {
+    return framed.every((point) => {
+      const p = new THREE.Vector3(...point).project(camera);
+      return Math.max(Math.abs(p.x), Math.abs(p.y)) < 0.9;
+    });
+  }
+
+  // Names over the picture: text that stays upright and sharp, moved with what it names at every drawing.
+  let tags = [];
+  function tag(position, text, color) {
+    const element = document.createElement("div");
+    element.className = "tag";
+    element.textContent = text;
+    element.style.color = color || "#1c2430";
+    stage.appendChild(element);
+    tags.push([element, new THREE.Vector3(...position)]);
+  }
+  function place() {
+    const box = renderer.domElement.getBoundingClientRect();
+    tags.forEach(([element, position]) => {
+      const p = position.clone().project(camera);
+      const seen = state.show.names && Math.abs(p.x) < 1 && Math.abs(p.y) < 1 && p.z < 1;
+      element.style.display = seen ? "" : "none";
+      if (seen) element.style.transform = "translate(" + (0.5 * (p.x + 1) * box.width + 8) + "px, " + (0.5 * (1 - p.y) * box.height - 20) + "px)";
+    });
+  }
 
   function clear(g) {
     while (g.children.length) {
@@ -81,9 +113,9 @@
     mesh.position.set(...position);
     return mesh;
   }
-  function ellipsoid(position, f, color, opacity) {
+  function ellipsoid(position, f, color, opacity, least) {
     // The unit sphere under the Cholesky factor of the covariance is its 1 σ ellipsoid; 2.8 σ holds 95 % in space.
-    const k = 2.8 * state.enlarge, least = size / 700;
+    const k = 2.8 * state.enlarge;
     const mesh = new THREE.Mesh(ball.clone(), new THREE.MeshLambertMaterial({ color: color, transparent: true, opacity: opacity }));
     mesh.matrixAutoUpdate = false;
     mesh.matrix.set(
@@ -115,11 +147,19 @@
   } else {
     const z = data.truth.position[0][2];
     data.outlines.forEach((points) => group.scene.add(line(points.map((p) => [p[0], p[1], z]), COLOR.wall)));
-    const grid = new THREE.GridHelper(2 * size, 20, 0xd5dae0, 0xe3e7ec);
-    grid.rotation.x = Math.PI / 2;
-    grid.position.set(center.x, center.y, Math.min(0, frame.min.z));
-    group.scene.add(grid);
   }
+  // A grid of 1, 2 or 5 times a power of ten says how large everything is.
+  const ten = Math.pow(10, Math.floor(Math.log10(size / 6)));
+  const mesh = ten * [5, 2, 1].find((n) => n * ten <= size / 6);
+  const lines = 2 * Math.ceil(size / mesh);
+  const grid = new THREE.GridHelper(lines * mesh, lines, 0xc3cad2, 0xd9dee4);
+  grid.rotation.x = Math.PI / 2;
+  grid.position.set(Math.round(center.x / mesh) * mesh, Math.round(center.y / mesh) * mesh, Math.min(0, frame.min.z));
+  group.scene.add(grid);
+  const scale = document.createElement("div");
+  scale.className = "scale";
+  scale.textContent = "grid " + mesh + " m";
+  stage.appendChild(scale);
   group.truth.add(line(data.truth.position, COLOR.truth));
   group.truth.add(sphere(data.bs, size / 90, COLOR.bs, 1));
   data.landmarks.filter((l) => l.kind === 2).forEach((l) => group.truth.add(sphere(l.position, size / 260, COLOR.truth, 0.7)));
@@ -127,6 +167,11 @@
   function render(step) {
     const filter = data.filters[state.filter];
     ["rays", "map", "walls", "now", "lit"].forEach((key) => clear(group[key]));
+    tags.forEach(([element]) => element.remove());
+    tags = [];
+    tag(data.bs, "base station", "#a84300");
+    if (state.show.truth && step > 0) tag(data.truth.position[0], "start");
+    tag(data.truth.position[step], step === steps - 1 ? "receiver, at the end" : "receiver");
     const here = data.truth.position[step];
     group.now.add(sphere(here, size / 140, COLOR.truth, 1));
     const heading = data.truth.heading[step];
@@ -148,15 +193,16 @@
       if (path.length > 1) group.now.add(line(path, COLOR.estimate));
       group.now.add(dots(path, COLOR.estimate));
       const ue = filter.position[step], f = filter.factor[step];
-      group.now.add(ellipsoid(ue, [f[0], f[1], f[2], 0, 0, 0], COLOR.estimate, 0.55));
+      group.now.add(ellipsoid(ue, [f[0], f[1], f[2], 0, 0, 0], COLOR.estimate, 0.55, size / 700));
       group.now.add(sphere(ue, size / 180, COLOR.estimate, 1));
       filter.map[step].forEach((row) => {
         const color = row[3] === 2 ? COLOR.sp : COLOR.va, opacity = 0.25 + 0.6 * row[4];
-        group.map.add(ellipsoid(row.slice(0, 3), row.slice(8), color, opacity));
+        group.map.add(ellipsoid(row.slice(0, 3), row.slice(8), color, opacity, size / (row[3] === 2 ? 170 : 700)));
         group.map.add(line([data.bs, row.slice(5, 8), ue], color, true, 0.35 + 0.6 * row[4]));
         group.map.add(sphere(row.slice(5, 8), size / 300, color, opacity));
       });
-      filter.walls[step].forEach(([c, shift]) => {
+      filter.walls[step].forEach(([c, shift, name]) => {
+        if (state.show.walls && name) tag(c[2].map((v, i) => 0.5 * (v + c[3][i])), name, "#8a5a00");
         group.walls.add(quad(c, COLOR.va, 0.55));
         group.walls.add(line([...c, c[0]], COLOR.edge));
         [-1, 1].forEach((side) => {
@@ -188,6 +234,7 @@
   }
   function draw() {
     renderer.render(scene, camera);
+    place();
   }
   function height(width) {
     return Math.max(300, Math.min(620, Math.round((width < 600 ? 0.85 : 0.62) * width), window.innerHeight - 120));
