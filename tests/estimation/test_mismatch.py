@@ -5,8 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation import EadfArray, Flag, Impairments, ModelError, Nomp, SignalModel, comb, digital, synthesize, ura
+from estimation import (
+    EadfArray,
+    Flag,
+    Impairments,
+    ModelError,
+    Nomp,
+    PathTable,
+    SignalModel,
+    comb,
+    digital,
+    synthesize,
+    ura,
+)
+from estimation.estimators.beyond import beyond
 from estimation.estimators.floor import Floor
+from estimation.estimators.projector import Projector
 from estimation.evaluate import associate
 from estimation.random_links import SEARCHED, random_link, random_paths
 from estimation.scenarios import FRONT, Draw, at_snr, draw_paths
@@ -101,6 +115,24 @@ def test_a_path_faster_than_what_is_searched_is_one_flagged_path(link, nomp, nam
     assert match.detected.all() and match.false == 0
     fast = np.abs(found.radial_velocity) > 25
     assert fast.sum() == 1 and found.flags[fast][0] & Flag.EDGE_OF_VIEW
+
+
+@pytest.mark.parametrize("off", [0.5, 1.5])
+def test_a_speed_that_one_outside_looks_like_is_inside(off):
+    """Symbols 160 us apart cannot tell 24 m/s, which is searched, from -43, which is not; 33 is outside either way."""
+    model = SignalModel(comb(28e9, 6.25e6, 32), digital(24, 160e-6), ura(2, 4), ura(2, 4))
+    alias = model.waveform.wavelength / 160e-6
+    for speed, inside in ((24.0, True), (33.0, False)):
+        path = PathTable([5e-8], [[0.2, 0.1]], [[-0.3, 0.2]], [speed], [3.0])
+        signal = synthesize(model, path, 1.0, np.random.default_rng(0))
+        # A point of the grid beside the peak holds less than any peak outside.
+        candidate = replace(path, radial_velocity=np.array([speed - off * alias / 24])).geometry
+        energy = np.abs(np.vdot(synthesize(model, candidate.table([1])), signal)) ** 2 / signal.size
+        found = beyond(Floor(Projector(model, signal, None), None, 1.0), candidate, energy, 1.0, 25.0)
+        if inside:
+            assert found is None
+        else:
+            assert found is not None and abs((found.speed[0] - speed + alias / 2) % alias - alias / 2) < 1
 
 
 def test_a_path_later_than_what_is_searched_is_one_flagged_path(link):
