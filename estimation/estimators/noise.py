@@ -1,11 +1,11 @@
-"""How strong the noise of a burst is, of which kind, and how long there is to work on it."""
+"""How strong the noise of a burst is and of which kind, with the clock that runs meanwhile."""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from ..signal.arrays import Complex
+from .clock import ENDLESS, Clock
 from .haze import Haze
 from .refine import Linearization
 
@@ -18,7 +18,8 @@ LEAST_NOISE = 1e-9
 @dataclass(frozen=True, slots=True)
 class Noise:
     """Energy and number of samples of a burst, the noise variance if it is known, a factor on it where caution is due,
-    whether the search ended before it was done, the covariance over the ports if that is why, and what was taken for no path.
+    whether the search ended before it was done, the covariance over the ports if that is why, what was taken for no path, and
+    how long there is to work on it.
     """
 
     energy: float
@@ -28,6 +29,7 @@ class Noise:
     limited: bool = False
     ports: Complex | None = None
     hazes: tuple[Haze, ...] = ()
+    clock: Clock = ENDLESS
 
     def variance(self, lin: Linearization | None) -> float:
         """What the paths leave unexplained per degree of freedom (eight real parameters each), unless the known variance
@@ -39,24 +41,3 @@ class Noise:
         if self.known is not None and rest / free < self.known * (1 + DOUBT / free**0.5):
             return self.inflation * self.known
         return self.inflation * rest / free
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """When a burst must be done with, in seconds of :func:`time.monotonic`; None: whenever."""
-
-    end: float | None
-
-    @staticmethod
-    def of(seconds: float | None) -> Clock:
-        """A clock that starts now."""
-        return Clock(None if seconds is None else time.monotonic() + seconds)
-
-    @property
-    def over(self) -> bool:
-        """Whether the time is up."""
-        return self.end is not None and time.monotonic() >= self.end
-
-
-ENDLESS = Clock(None)
-"""All the time that it takes."""

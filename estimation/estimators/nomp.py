@@ -25,12 +25,13 @@ from . import report
 from .beyond import beyond
 from .choice import accepted_of
 from .clearing import cleared, heard, standing_out
+from .clock import ENDLESS, Clock
 from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .floor import Floor
 from .grids import EVERYWHERE, View, directions_in
 from .kinds import Search, search_kind
-from .noise import ENDLESS, Clock, Noise
+from .noise import Noise
 from .pairs import told_apart, worthwhile
 from .polish import novelty, separate_fit
 from .projector import Bases, Projector
@@ -169,7 +170,9 @@ class Nomp:
             data, lin, noise = self._search_all(self.model, white, start, noise_variance, energy=energy)
             if noise.ports is not None:
                 told = replace(self.model, port_covariance=noise.ports)
-                return replace(self, model=told, threshold=self.level, white=True).run(signal, prior=prior)
+                left = noise.clock.left
+                told_so = replace(self, model=told, threshold=self.level, white=True, max_seconds=left)
+                return told_so.run(signal, prior=prior)
             return self._reported(data, lin, noise)
         model = self.model
         for inflation in (10.0, 1.0):
@@ -194,7 +197,7 @@ class Nomp:
         data = Projector(model, model.weighted(white), self._basis)
         if energy is None:
             energy = float(np.vdot(white, data.signal).real)
-        noise = Noise(energy, white.size, noise_variance, inflation)
+        noise = Noise(energy, white.size, noise_variance, inflation, clock=Clock.of(self.max_seconds))
         filtered: Any = self._search.filtered(data)  # in a form of its own
         lin = None
         if start is not None and len(start):
@@ -290,14 +293,15 @@ class Nomp:
         if len(lin.gain) > single:
             lin = self._fit(data, lin, noise, tolerance=3e-3)
         lin, spread = worthwhile(self, data, lin, spread, noise)
-        return report.detections(self, data, lin, noise.variance(lin), spread, noise.limited, noise.hazes)
+        limited = noise.limited or noise.clock.over
+        return report.detections(self, data, lin, noise.variance(lin), spread, limited, noise.hazes)
 
     def _fit(
         self, data: Projector, start: Geometry | Linearization, noise: Noise, tolerance: float = 0.5
     ) -> Linearization:
         """Refine all paths until the predicted gain in log-likelihood falls below ``tolerance``."""
         lin = start if isinstance(start, Linearization) else linearize(data, start)
-        return joint_fit(data, lin, noise.variance(lin), tolerance)
+        return joint_fit(data, lin, noise.variance(lin), tolerance, clock=noise.clock)
 
     def _candidates(self, data: Projector, residual, lin: Linearization | None, variance: float, effort: Effort):
         """Refined candidates in a filtered residual (the paths ``lin`` are out of it) and their statistics,

@@ -261,7 +261,7 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
     pair, told = (local_level(r, estimator.parameters) for r in (max(0.1 * rate, 1e-12), TOLD))
     found = suspects(data, lin, variance)
     for path in np.argsort(-found.statistic):
-        if found.statistic[path] < SUSPECT:
+        if found.statistic[path] < SUSPECT or noise.clock.over:
             break
         one = lin.geometry.take([path])
         second = one.moved(found.step[[path]])

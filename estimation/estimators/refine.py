@@ -19,6 +19,7 @@ from ..signal.algebra import Blocks, gram, normalized
 from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.paths import Geometry
+from .clock import ENDLESS, Clock
 
 LARGEST_STEP = 0.8
 """Longest step of one path in its own metric; the ambiguity function's main lobe ends near 3."""
@@ -147,14 +148,17 @@ def joint_fit(
     noise_variance: float,
     tolerance: float = 0.02,
     iterations: int = 30,
+    clock: Clock = ENDLESS,
 ) -> Linearization:
     """Joint Levenberg-Marquardt over all paths until the predicted gain in log-likelihood falls below
-    ``tolerance``.
+    ``tolerance``, or the time is up.
     """
     lin = start if isinstance(start, Linearization) else linearize(data, start)
     active = data.model.active
     damping = 1e-4
     for _ in range(iterations):
+        if clock.over:
+            break
         paths = len(lin.gain)
         lengths = metric(np.moveaxis(np.diagonal(lin.gram, axis1=0, axis2=2), -1, 0), active)
         matrix = information(lin, active)

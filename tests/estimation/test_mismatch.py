@@ -17,10 +17,13 @@ from estimation import (
     digital,
     synthesize,
     ura,
+    white_noise,
 )
 from estimation.estimators.beyond import beyond
+from estimation.estimators.clock import Clock
 from estimation.estimators.floor import Floor
 from estimation.estimators.projector import Projector
+from estimation.estimators.refine import joint_fit
 from estimation.evaluate import associate
 from estimation.random_links import SEARCHED, random_link, random_paths
 from estimation.scenarios import FRONT, Draw, at_snr, draw_paths
@@ -154,6 +157,23 @@ def test_a_search_that_ends_early_says_so_and_keeps_the_strongest(link, nomp):
     assert not np.any(nomp.run(signal).flags & Flag.LIMITED)
     none = replace(nomp, max_seconds=0.0).run(signal)
     assert len(none) == 0
+
+
+def test_time_that_is_up_ends_fits_and_what_follows_a_search_too(link, nomp, monkeypatch):
+    """The same limit holds for the search anew once the noise of the ports is known."""
+    paths, rng = drawn(link, 7)
+    signal = synthesize(link, paths, 1.0, rng)
+    data = Projector(link, signal, None)
+    start = paths.geometry.moved(np.tile([2e-10, 0, 0, 0, 0, 0.1], (len(paths), 1)))
+    moved, kept = (joint_fit(data, start, 1.0, clock=Clock.of(limit)) for limit in (None, 0.0))
+    assert moved.explained > kept.explained and np.array_equal(kept.geometry.delay, start.delay)
+    limits = []
+    whole = Nomp.run
+    monkeypatch.setattr(Nomp, "run", lambda self, *a, **k: (limits.append(self.max_seconds), whole(self, *a, **k))[1])
+    response = link.receiver.response(np.array([[0.8, 0.6, 0.0]]))[0][0]
+    noise = white_noise((*link.shape[:2], 1, link.shape[3]), 30.0, rng) * response[:, None]
+    replace(nomp, max_seconds=1000.0).run((signal + noise).astype(np.complex64))
+    assert len(limits) == 2 and limits[0] == 1000.0 and 0 <= limits[1] < 1000.0
 
 
 def test_impairments_are_switches_with_seeds(link):
