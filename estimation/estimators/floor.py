@@ -19,6 +19,7 @@ from ..signal.directions import Float
 from ..signal.model import flat
 from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
+from .parts import Part, parts_of
 from .projector import Projector
 from .refine import Linearization
 
@@ -76,27 +77,18 @@ class Floor:
                 fresh = own[c] - strong * (np.vdot(strong, own[c]) / max(np.vdot(strong, strong).real, 1e-300))
                 fiber = self._fiber(int(p), mode)
                 level = left_of(fiber, fresh) / self.variance
-                looks = self._looks if mode == 1 else None
-                if looks is not None:
-                    # What an element or a beam does wrong it does in every sweep: it is all at a path's speed.
-                    still = self._still(float(candidates.speed[c]), float(candidates.delay[c]))
-                    level = max(level, left_of(looks.sums(fiber * still), looks.sums(fresh * still)) / self.variance)
                 raised[c] = max(raised[c], 1 + alike[c, p] * (min(level, could[c, p]) - 1))
+                for part in self._parts if mode == 1 else ():
+                    own_part = part.sums(fresh, strong)
+                    inside = np.vdot(own_part, own_part).real / max(np.vdot(fresh, fresh).real, 1e-300)
+                    level = left_of(part.sums(fiber, strong), own_part) / self.variance
+                    raised[c] = max(raised[c], 1 + alike[c, p] * inside * (min(level, could[c, p]) - 1))
         return raised
 
-    def _still(self, speed: float, delay: float):
-        """What stops the phases of a speed, and of a delay if the pilots shift, in the time mode, (n,)."""
-        mode = self.data.model.bands[0].modes[1]
-        assert isinstance(mode, TimeMode)
-        turned = -mode.times * speed / mode.wavelength
-        if mode.offsets is not None:
-            turned += mode.offsets * delay
-        return np.repeat(np.exp(2j * np.pi * turned), mode.ports)
-
     @cached_property
-    def _looks(self) -> Looks | None:
-        mode = self.data.model.bands[0].modes[1]
-        return Looks.of(mode) if isinstance(mode, TimeMode) else None
+    def _parts(self) -> list[Part]:
+        modes = self.data.model.bands[0].modes
+        return parts_of(modes[1], FITTED) if len(modes) > 1 and isinstance(modes[1], TimeMode) else []
 
     def about(self, path: Geometry) -> float:
         """Noise that is left along the worst mode of a path (one) that others have taken the place of, 1 unless it is
@@ -106,11 +98,17 @@ class Floor:
         if model.subbands > 1 or model.weight is not None:
             return raised
         for mode, part in enumerate(model.bands[0].modes):
-            free = part.size - PAIR
-            if free > 1:
-                energy = float(np.linalg.norm(self.along(path, mode)) ** 2) / self.variance
-                if 2 * energy > chi2.isf(RATE, 2 * free):
-                    raised = max(raised, energy / free)
+            fiber = self.along(path, mode)
+            fibers = [fiber]
+            if mode == 1 and self._parts:
+                own = part.vector(path)[0]
+                fibers += [p.sums(fiber, own) for p in self._parts]
+            for left in fibers:
+                free = len(left) - PAIR
+                if free > 1:
+                    energy = float(np.linalg.norm(left) ** 2) / self.variance
+                    if 2 * energy > chi2.isf(RATE, 2 * free):
+                        raised = max(raised, energy / free)
         return raised
 
     def errors(self) -> Float:
@@ -160,35 +158,6 @@ class Floor:
         vectors = [m[:, 0] for m in known.blocks[0]]
         others = [v @ u.conj() for m, (v, u) in enumerate(zip(vectors, unit, strict=True)) if m != mode]
         return fiber - (known.gain * np.prod(others, axis=0)) @ vectors[mode]
-
-
-@dataclass(frozen=True, eq=False)
-class Looks:
-    """Samples of a time mode that look through the same beam and combiner: the number (n,) of the look of each, and how
-    many (L,) share one.
-    """
-
-    number: np.typing.NDArray[np.intp]
-    shared: Float
-
-    @staticmethod
-    def of(mode: TimeMode) -> Looks | None:
-        """None where there are too few looks to tell anything, or each is taken once."""
-        still = np.zeros(len(mode.times), int)
-        beam = still if mode.precoder_index is None else mode.precoder_index
-        setting = still if mode.combiner_index is None else mode.combiner_index
-        both = np.stack([np.repeat(beam, mode.ports), np.repeat(setting, mode.ports)])
-        port = np.tile(np.arange(mode.ports), len(mode.times))
-        number, shared = np.unique(np.stack([*both, port]), axis=1, return_inverse=True, return_counts=True)[1:]
-        if not FITTED < len(shared) < len(port):
-            return None
-        return Looks(number.ravel(), shared.astype(float))
-
-    def sums(self, samples):
-        """Sums (L,) of samples (n,) over looks, at the noise of a sample."""
-        size = len(self.shared)
-        real, imag = (np.bincount(self.number, part, size) for part in (samples.real, samples.imag))
-        return (real + 1j * imag) / np.sqrt(self.shared)
 
 
 def left_of(fiber, fresh) -> float:

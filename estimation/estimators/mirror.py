@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..signal.algebra import Blocks
+from ..signal.directions import Float
 from ..signal.model import SignalModel
 from ..signal.modes import TimeMode
 from ..signal.paths import Geometry
@@ -41,6 +42,16 @@ class MirroredSearch:
     def delay(self) -> DelayGrid:
         """Delay cells."""
         return self.search.delay
+
+    @property
+    def arrivals(self) -> Float:
+        """Direction cells at the receiver."""
+        return self.search.departures
+
+    @property
+    def departures(self) -> Float:
+        """Direction cells at the transmitter."""
+        return self.search.arrivals
 
     @property
     def full(self) -> Effort:

@@ -263,7 +263,8 @@ class Nomp:
         floor = Floor(data, lin, variance, self.error_share)
         if statistic[0] > STRONG * self.level:
             limits = float(self.max_delay or 0.0), self.max_speed
-            outside = beyond(floor, found.take([0]), statistic[0] * variance, *limits)
+            grids = self._search.arrivals, self._search.departures
+            outside = beyond(floor, found.take([0]), statistic[0] * variance, *limits, grids)
             if outside is not None:
                 return outside, statistic[:1]
         strong = np.flatnonzero(statistic > self.level)

@@ -22,6 +22,7 @@ from estimation import (
 from estimation.estimators.beyond import beyond
 from estimation.estimators.clock import Clock
 from estimation.estimators.floor import Floor
+from estimation.estimators.parts import parts_of
 from estimation.estimators.projector import Projector
 from estimation.estimators.refine import joint_fit
 from estimation.evaluate import associate
@@ -92,7 +93,7 @@ def test_beams_that_are_off_in_every_sweep_alike_make_no_ghosts(monkeypatch):
     """Their error is all at the path's speed, where it stands higher than over all symbols."""
     seeds = (3, 6)
     few = ghosts_of_swept_links(seeds)
-    monkeypatch.setattr(Floor, "_looks", None)
+    monkeypatch.setattr(Floor, "_parts", [])
     many = ghosts_of_swept_links(seeds)
     assert few == 0 and many >= 3
 
@@ -131,11 +132,44 @@ def test_a_speed_that_one_outside_looks_like_is_inside(off):
         # A point of the grid beside the peak holds less than any peak outside.
         candidate = replace(path, radial_velocity=np.array([speed - off * alias / 24])).geometry
         energy = np.abs(np.vdot(synthesize(model, candidate.table([1])), signal)) ** 2 / signal.size
-        found = beyond(Floor(Projector(model, signal, None), None, 1.0), candidate, energy, 1.0, 25.0)
+        grids = candidate.arrival, candidate.departure
+        found = beyond(Floor(Projector(model, signal, None), None, 1.0), candidate, energy, 1.0, 25.0, grids)
         if inside:
             assert found is None
         else:
             assert found is not None and abs((found.speed[0] - speed + alias / 2) % alias - alias / 2) < 1
+
+
+@pytest.mark.parametrize(("seed", "kind"), [(3, "combined"), (0, "hybrid")])
+def test_a_fast_path_is_found_in_its_direction_where_beams_or_combiners_turn_it_into_a_course(seed, kind):
+    """Inside the searched speeds its side lobes are as strong in other directions: 20 ghosts."""
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(seed,)))
+    model = random_link(rng)
+    paths = random_paths(model, rng)
+    assert model.schedule.combiners is not None and (model.schedule.precoders is not None) == (kind == "hybrid")
+    lead = at_snr(model, paths.take([0]), [1e5])
+    paths = replace(
+        paths, gain=np.r_[lead.gain, paths.gain[1:]], radial_velocity=np.r_[40.0, paths.radial_velocity[1:]]
+    )
+    found = Nomp(model, max_speed=SEARCHED, threshold=27.0).run(synthesize(model, paths, 1.0, rng))
+    assert associate(model, found, paths, 1.0).detected.all() and len(found) == len(paths)
+
+
+def test_errors_of_elements_lie_in_the_part_of_their_end():
+    """Behind combiners and beams, too: a few dimensions of the mode, the same in every sweep."""
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
+    model = random_link(rng)
+    path = at_snr(model, random_paths(model, rng).take([0]), [1e5])
+    built = OFF["positions"].hardware(model, rng)
+    mode = model.bands[0].modes[1]
+    strong = mode.vector(path.geometry)[0]
+    one_end = replace(built, transmitter=model.transmitter), replace(built, receiver=model.receiver)
+    beams, outputs = (len(np.unique(i)) for i in (mode.precoder_index, mode.combiner_index))
+    for end, size in zip(one_end, (outputs * mode.ports, beams), strict=True):
+        wrong = end.bands[0].modes[1].vector(path.geometry)[0] - strong
+        part = next(p for p in parts_of(mode, 3) if p.size == size)
+        inside = np.linalg.norm(part.sums(wrong, strong)) ** 2 / np.linalg.norm(wrong) ** 2
+        assert inside == pytest.approx(1, abs=1e-9) and part.size < mode.size / 4
 
 
 def test_a_path_later_than_what_is_searched_is_one_flagged_path(link):
