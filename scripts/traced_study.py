@@ -2,6 +2,7 @@
 """Several seeds of traced scenes, every filter on the same detections, 95 % intervals; figures as paper B's Fig. 4.
 
 python scripts/traced_study.py ring_road --seeds 10 --out results/ring_road
+python scripts/traced_study.py ring_road --first 1000 --seeds 20 --filters batch --noise estimator --told filter.start=snapshot
 python scripts/traced_study.py courtyard --seeds 5 --estimators nomp sage --noise estimator --out results/courtyard
 """
 
@@ -19,7 +20,7 @@ from dopslam.pipeline import stages as pipeline
 from dopslam.report import figures, study_figures
 from dopslam.report.folder import write_json, write_text
 from dopslam.report.tables import study_text
-from dopslam.studies.traced import NOISES, study
+from dopslam.studies.traced import COMPARED, NOISES, study
 
 DRAWN = ("joint", "marginal", "bp, no Doppler")
 
@@ -28,7 +29,10 @@ def main() -> None:
     """Write study_<estimator>.json and .txt, the errors over the steps and the map of the first seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", nargs="?", default="ring_road")
-    parser.add_argument("--seeds", type=int, default=10, help="number of seeds, from 0")
+    parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--filters", nargs="+", default=list(COMPARED))
+    parser.add_argument("--told", action="append", default=[], metavar="KEY=VALUE", help="what only the filters read")
     parser.add_argument("--estimators", nargs="+", help="nomp, sage, esprit; by default the scenario's")
     parser.add_argument("--noise", nargs="+", choices=list(NOISES), default=list(NOISES))
     parser.add_argument("--out", type=Path, default=Path("results/traced_study"))
@@ -42,13 +46,15 @@ def main() -> None:
         data = options.out / kind
         data.mkdir(parents=True, exist_ok=True)
         with progress_display() as progress:
-            seeds = range(options.seeds)
-            result = study(scenario, seeds, data, worker_count(options.jobs), progress, options.noise)
+            seeds = range(options.first, options.first + options.seeds)
+            jobs = worker_count(options.jobs)
+            result = study(scenario, seeds, data, jobs, progress, options.noise, options.filters, options.told)
         results[kind] = result
         write_json(options.out / f"study_{kind}.json", result)
         write_text(options.out / f"study_{kind}.txt", study_text(result))
         print(study_text(result))
-    draw(options.out, results, options.noise[0], options.out / kinds[0] / f"{scenario.name}-0.h5")
+    if set(DRAWN) <= set(results[kinds[0]][options.noise[0]]):
+        draw(options.out, results, options.noise[0], options.out / kinds[0] / f"{scenario.name}-{options.first}.h5")
 
 
 def draw(folder: Path, results: dict[str, dict], noise: str, path: Path) -> None:

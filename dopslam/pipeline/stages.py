@@ -307,7 +307,7 @@ def slam(
     problem = build.problem(scenario)
     scans = problem.scans(detections)
     history, told = run_filter(problem, scans, build.chosen_filter(scenario, name, doppler), seed)
-    lost = divergence(history, scans, problem.anchor, problem.height)
+    lost = history.lost if problem.restart else divergence(history, scans, problem.anchor, problem.height)
     return replace(history, lost=lost, nis_per_row=told.nis_per_row, passed_over=int(told.passed_over.sum()))
 
 

@@ -164,8 +164,8 @@ def study_text(result: dict) -> str:
             continue
         lines += [
             "",
-            f"| {title} | position m | × PEB | heading ° | clock m | NEES | GOSPA VA / SP m | within 1 m | of 2 reflections |",
-            "|---|---|---|---|---|---|---|---|---|",
+            f"| {title} | position m | × PEB | heading ° | clock m | NEES | lost | GOSPA VA / SP m | within 1 m | of 2 reflections |",
+            "|---|---|---|---|---|---|---|---|---|---|",
         ]
         for name, v in result[noise].items():
             if name == "doppler_gain":
@@ -175,7 +175,7 @@ def study_text(result: dict) -> str:
                 f"| {name} | {_with_interval(v['position_rmse_m'], 4)} | "
                 f"{_with_interval(v['rmse_over_bound']['position'], 2)} | "
                 f"{v['heading_rmse_deg']['mean']:.4f} | {v['clock_bias_rmse_m']['mean']:.4f} | "
-                f"{_with_interval(v['nees'], 1)} | {v['gospa_va_m']['mean']:.2f} / {v['gospa_sp_m']['mean']:.2f} | "
+                f"{_with_interval(v['nees'], 1)} | {v['lost']} | {v['gospa_va_m']['mean']:.2f} / {v['gospa_sp_m']['mean']:.2f} | "
                 f"{within['found']} of {within['of']} | {higher['found']} of {higher['of']} |"
             )
         gains = result[noise]["doppler_gain"]

@@ -27,7 +27,7 @@ from dopslam.models.motion import CoordinatedTurn, MotionModel
 from dopslam.models.scans import Scans, from_detections
 from dopslam.records import BaseStations, DetectionSeries
 from dopslam.slam import restart
-from dopslam.slam.batch.start import started
+from dopslam.slam.batch.start import guided
 from dopslam.slam.history import Diagnostics, Estimate, History, answer_of_run, history_of_estimates, settled
 from dopslam.slam.orientation import turnable
 from estimation.plugins import blamed
@@ -204,11 +204,14 @@ def run(
     """
     scans = detections if isinstance(detections, Scans) else problem.scans(detections)
     check(chosen, problem, scans)
-    doppler, reads_all = uses_doppler(chosen), chosen.capabilities.whole_run
+    able = chosen.capabilities
+    doppler, reads_all, intervals = uses_doppler(chosen), able.whole_run, able.intervals
 
     def go(problem: Problem, scans: Scans) -> tuple[History, Diagnostics]:
         if not reads_all:
-            problem = started(problem, scans, doppler)
+            problem, guide = guided(problem, scans, doppler)
+            if guide is not None:
+                problem, scans = guide.begun(problem, scans, 0, intervals)
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         whole = getattr(chosen, "run", None)
         if whole is None:
@@ -220,7 +223,7 @@ def run(
         if not problem.restart:
             history, told = go(problem, scans)
         else:
-            history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler)
+            history, told = restart.watched(problem, scans, go, whole=reads_all, doppler=doppler, intervals=intervals)
     return (turnable(history, problem.anchor, problem.yaw_std) if problem.yaw_std else history), told
 
 

@@ -1,5 +1,8 @@
 """A filter that has lost its receiver is found out by its own history, and started anew from what the scans tell.
 
+Where the start was found from the first scans together, their track is a second witness: a filter that leaves it by more than
+it can account for is started anew on it, from there.
+
 Works on any filter's whole run (:func:`watched`). Up to the step from which the receiver was lost its history stands;
 from there on the filter runs again, from a start that the next scans alone give (:mod:`dopslam.slam.snapshot`). The map
 from before stays where the new run does not find the same landmark again. What is lost from the beginning on has a wrong
@@ -9,7 +12,7 @@ start, and is run anew as a whole. A new run that is lost as well is discarded.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +20,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from dopslam.errors import FilterError
+from dopslam.models.measurement import measure, residual, wrap
 from dopslam.models.scans import Scans
+from dopslam.models.unmeasured import UNSEEN
 from dopslam.records import edges_of
-from dopslam.slam.batch.start import started
-from dopslam.slam.health import DECLARED, FEWEST, Verdict, judge
+from dopslam.slam.batch.start import Guide, guided
+from dopslam.slam.health import DECLARED, FEWEST, ROWS, Verdict, explained, judge
 from dopslam.slam.history import Diagnostics, History
 
 Told = tuple[History, Diagnostics]
@@ -29,10 +34,13 @@ Go = Callable[[Problem, Scans], Told]
 
 MOST = 3  # restarts of one run
 WINDOW = 20  # scans that a start is found from
+ASTRAY = 100.0  # squared distance from the track of the first scans: five deviations in each of four entries
+APART = 9.0  # mean square by which measurements tell two tracks apart: what is nearer is overconfident, but not lost
+POSE = 4  # entries that are compared
 SAME = 16.0  # squared Mahalanobis distance of two estimates of one landmark: 1.1e-3 of the right ones lie beyond
 
 
-def watched(problem: Problem, scans: Scans, go: Go, *, whole: bool, doppler: bool) -> Told:
+def watched(problem: Problem, scans: Scans, go: Go, *, whole: bool, doppler: bool, intervals: bool) -> Told:
     """Run a filter, and again from where it lost its receiver.
 
     Parameters
@@ -41,68 +49,135 @@ def watched(problem: Problem, scans: Scans, go: Go, *, whole: bool, doppler: boo
     scans : of the whole run
     go : runs the filter on a problem and scans
     whole : whether its estimates use the scans of the whole run, so that no part of them stands alone
-    doppler : whether the new start may use Doppler
+    doppler : whether a start may use Doppler
+    intervals : whether the filter honours any time between scans
 
     Returns
     -------
     History, Diagnostics
-        ``history.restarted`` says from where and why; ``history.lost`` is left to whoever judges the result.
+        ``history.restarted`` says from where and why, ``history.lost`` what no new start has mended.
 
     Raises
     ------
     FilterError
         What the filter raised, if a new start does not mend it.
     """
-    told, verdict, failure = _tried(problem, scans, go)
+    guide = None
+    if not whole:
+        problem, guide = guided(problem, scans, doppler)
+    watch = _Watch(problem, scans, go, whole, doppler, intervals, guide)
+    told, verdict, failure = watch.tried()
     said: list[str] = []
     for _ in range(MOST):
         if not verdict.reason or (told is None and problem.snapshot):
             break
-        since = 0 if whole or told is None or verdict.since < FEWEST else verdict.since
-        found = None
-        for first in dict.fromkeys([since, 0]):
-            found = _anew(problem, scans, go, told, first, whole, doppler)
-            if found is not None and _better(found[1], verdict):
-                break
-            found = None
-        if found is None:
+        better = watch.better(told, verdict)
+        if better is None:
             break
+        first, told, new = better
         said.append(f"from step {first}: {verdict.reason}")
-        told, verdict = found
+        verdict = new
     if told is None:
         raise failure or FilterError(verdict.reason)
-    return replace(told[0], restarted="; ".join(said)), told[1]
+    return replace(told[0], restarted="; ".join(said), lost=verdict.reason), told[1]
 
 
-def _tried(problem: Problem, scans: Scans, go: Go) -> tuple[Told | None, Verdict, FilterError | None]:
-    """What a run leaves and what is to be thought of it; a filter that ends with an error is lost from the beginning."""
-    try:
-        told = go(problem, scans)
-    except FilterError as error:
-        return None, Verdict(str(error)), error
-    return told, judge(told[0], scans, problem.anchor, problem.height), None
+@dataclass(frozen=True, slots=True)
+class _Watch:
+    """A run that is watched: what :func:`watched` is told, and the track of the first scans, where these gave the start."""
 
+    problem: Problem
+    scans: Scans
+    go: Go
+    whole: bool
+    doppler: bool
+    intervals: bool
+    guide: Guide | None
 
-def _better(new: Verdict, old: Verdict) -> bool:
-    """Whether a new run is an improvement: not lost, or only much later, which another start may mend."""
-    return not new.reason or new.since >= old.since + 2 * FEWEST
+    def tried(self) -> tuple[Told | None, Verdict, FilterError | None]:
+        """What the first run leaves and what is to be thought of it; one that ends with an error is lost from the beginning."""
+        try:
+            told = self.go(*self._begun(self.problem, 0, self.guide))
+        except FilterError as error:
+            return None, Verdict(str(error)), error
+        return told, self.judged(told[0]), None
 
-
-def _anew(
-    problem: Problem, scans: Scans, go: Go, told: Told | None, first: int, whole: bool, doppler: bool
-) -> tuple[Told, Verdict] | None:
-    """The run with another one from step ``first`` on, and the verdict on it; None if there is no start or no end."""
-    rest = scans if first == 0 else scans.take(slice(first, None))
-    try:
-        start = replace(problem, snapshot=True)
-        if not whole:
-            start = started(start, rest.take(slice(0, WINDOW)), doppler)
-        new = go(start, rest)
-    except FilterError:
+    def better(self, told: Told | None, verdict: Verdict) -> tuple[int, Told, Verdict] | None:
+        """A step from which another run mends what the verdict says, that run, and the verdict on it; None if none does."""
+        since = 0 if self.whole or told is None else verdict.since
+        guide = self.guide
+        if guide is not None and told is not None and since < guide.steps:
+            # What the first scans say together is not found anew from fewer of them.
+            tried = [(first, guide) for first in (since, since + 2, since + FEWEST) if 0 < first < guide.steps]
+        else:
+            tried = [(first, None) for first in dict.fromkeys([since if since >= FEWEST else 0, 0])]
+        for first, along in tried:
+            new = self._anew(told, first, along)
+            # Lost only much later is an improvement too: another start may mend that.
+            if new is not None and (not new[1].reason or new[1].since >= verdict.since + 2 * FEWEST):
+                return first, *new
         return None
-    if first and told is not None:
-        new = joined(told, new, scans, first)
-    return new, judge(new[0], scans, problem.anchor, problem.height)
+
+    def _anew(self, told: Told | None, first: int, guide: Guide | None) -> tuple[Told, Verdict] | None:
+        """The run with another one from step ``first`` on, and the verdict on it; None if there is no start or no end.
+
+        It starts on the guide's track, or where there is none is located from the next scans.
+        """
+        try:
+            problem = replace(self.problem, snapshot=True)
+            if guide is None and not self.whole:
+                problem, guide = guided(problem, self.scans.take(slice(first, first + WINDOW)), self.doppler)
+                guide = None if guide is None else guide.later(first)
+            new = self.go(*self._begun(problem, first, guide))
+        except FilterError:
+            return None
+        if first and told is not None:
+            new = joined(told, new, self.scans, first)
+        return new, self.judged(new[0])
+
+    def _begun(self, problem: Problem, first: int, guide: Guide | None) -> tuple[Problem, Scans]:
+        """What the filter is told from a step on."""
+        if guide is not None:
+            return guide.begun(problem, self.scans, first, self.intervals)
+        return problem, self.scans if first == 0 else self.scans.take(slice(first, None))
+
+    def judged(self, history: History) -> Verdict:
+        """What is to be thought of a run.
+
+        One that leaves the track of the first scans is lost from there on, whatever it explains, unless it explains more than
+        they do. One that keeps to their track until its end is not lost, however far off what it explains may be: then the
+        measurements are less accurate than they claim.
+        """
+        guide, told = self.guide, (self.scans, self.problem.anchor, self.problem.height)
+        verdict = judge(history, *told)
+        if guide is None:
+            return verdict
+        apart = history.mean[: guide.steps, :POSE] - guide.state[1:, :POSE]
+        apart[:, 2] = wrap(apart[:, 2])
+        spread = history.covariance[: guide.steps, :POSE, :POSE] + guide.covariance[1:, :POSE, :POSE]
+        squared = np.einsum("ki,ki->k", apart, np.linalg.solve(spread, apart[..., None])[..., 0])
+        astray = (squared > ASTRAY) & (self._seen_apart(history, guide) > APART)
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], astray, [0]])))
+        series = [(int(first), int(end)) for first, end in zip(ends[::2], ends[1::2], strict=True)]
+        series = [(first, end) for first, end in series if end - first >= FEWEST]
+        if not series and guide.steps >= history.steps and np.median(squared[verdict.since :]) < ASTRAY:
+            return Verdict()
+        if not series or (verdict.reason and verdict.since <= series[0][0]):
+            return verdict
+        seen = explained(history, *told)
+        if seen.explained[: guide.steps].sum() > guide.share * seen.measured[: guide.steps].sum():
+            return verdict
+        first, end = series[0]
+        return Verdict(f"up to step {end - 1} it is not where the first scans together say", first)
+
+    def _seen_apart(self, history: History, guide: Guide) -> NDArray:
+        """(K,) mean square, in units of the measurements' variances, of what would be measured here less what would be there."""
+        variance = np.median(np.einsum("nii->ni", self.scans.covariance), axis=0)
+        used = np.flatnonzero(variance[:ROWS] < UNSEEN[:ROWS])
+        landmarks, height = (guide.position, guide.kind, self.problem.anchor), self.problem.height
+        here = measure(history.mean[: guide.steps, None], *landmarks, height=height)
+        off = residual(here, measure(guide.state[1:, None], *landmarks, height=height))[..., used]
+        return np.mean(off**2 / variance[used], axis=(1, 2))
 
 
 def joined(old: Told, new: Told, scans: Scans, first: int) -> Told:

@@ -38,9 +38,9 @@ def prepare(scenario: Scenario, seed: int, folder: Path, jobs: int, progress: Pr
     return path
 
 
-def evaluations(path: Path, noise: str, filters=COMPARED) -> tuple[dict[str, Evaluation], dict[str, dict]]:
+def evaluations(path: Path, noise: str, filters=COMPARED, told=()) -> tuple[dict[str, Evaluation], dict[str, dict]]:
     """Every filter variant on the detections of one dataset, which is left as it was: evaluations, and their figures."""
-    settings = (f"source.traced.added_noise={NOISES[noise]}",)
+    settings = (f"source.traced.added_noise={NOISES[noise]}", *told)
     scenario, seed = stages.scenario_of(path, settings)
     track, landmarks, paths, _ = stages.read_truth(path)
     detections = stages.blurred(scenario, stages.read_detections(path), seed)
@@ -64,6 +64,7 @@ def study(
     progress: Progress = quiet,
     noises=tuple(NOISES),
     filters=COMPARED,
+    told=(),
 ) -> dict:
     """Run the study.
 
@@ -75,6 +76,7 @@ def study(
     jobs : worker processes of the estimation
     noises : which of :data:`NOISES`
     filters : names of the filters
+    told : ``key=value`` settings that only filters read, ``filter.start=snapshot`` for instance
 
     Returns
     -------
@@ -101,7 +103,7 @@ def study(
         "runs": {},
     }
     for noise in noises:
-        found, runs = zip(*(evaluations(path, noise, filters) for path in paths), strict=True)
+        found, runs = zip(*(evaluations(path, noise, filters, told) for path in paths), strict=True)
         result[noise] = {
             name: _pooled([run[name] for run in runs]) | {"steps": _by_step([f[name] for f in found])}
             for name in found[0]
@@ -135,6 +137,7 @@ def _pooled(runs: list[dict]) -> dict:
         for name in ("position", "heading", "clock")
     }
     errors = [e for run in runs for e in run["landmark_error_m"].values()]
+    pooled["lost"] = sum(run["diverged"] for run in runs)
     pooled["landmarks_within_1_m"] = _within(errors)
     pooled["higher_order_va_within_1_m"] = _within([e for run in runs for e in run["higher_order_va_error_m"].values()])
     return pooled

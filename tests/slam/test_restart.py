@@ -13,7 +13,9 @@ from dopslam.pipeline import file as stages
 from dopslam.pipeline.problem import told
 from dopslam.records import Kind
 from dopslam.simulate.world import section_v, simulate
+from dopslam.slam import restart
 from dopslam.slam.filter import run
+from dopslam.slam.health import Verdict
 from dopslam.slam.restart import joined
 from dopslam.store import file as dataset
 
@@ -48,6 +50,32 @@ def test_a_good_run_is_bit_for_bit_what_it_was(ring):
     _, _, scans, problem = ring
     watched, plain = (run(replace(problem, restart=on), scans, FILTERS["joint"]())[0] for on in (True, False))
     assert watched.restarted == "" and np.array_equal(watched.mean, plain.mean)
+
+
+def test_who_leaves_the_track_of_the_first_scans_is_started_anew_on_it(ring, monkeypatch):
+    """A filter that strays from step 8 on, and whose history alone shows nothing."""
+    _, states, scans, problem = ring
+    monkeypatch.setattr(restart, "judge", lambda *_: Verdict())
+    calls, known = [], replace(problem, snapshot=True, restart=False)
+
+    def go(told_, read):
+        calls.append(read.steps)
+        history, diagnostics = FILTERS["joint"]().run(told_, read, np.random.default_rng(0))
+        mean = history.mean.copy()
+        if len(calls) == 1:
+            mean[8:, :2] += 6.0
+        return replace(history, mean=mean), diagnostics
+
+    history, _ = restart.watched(known, scans, go, whole=False, doppler=True, intervals=True)
+    assert history.restarted.startswith("from step 8: ") and "first scans together" in history.restarted
+    assert calls == [STEPS, STEPS - 8] and history.lost == "" and errors(history, states)[8:].max() < 1.0
+
+
+@pytest.mark.parametrize("name", ["joint", "marginal", "lagged"])
+def test_who_keeps_to_it_is_left_alone(ring, name):
+    _, states, scans, problem = ring
+    history, _ = run(replace(problem, snapshot=True), scans, FILTERS[name]())
+    assert history.restarted == "" == history.lost and errors(history, states).max() < 2.0
 
 
 @pytest.fixture(scope="module")
