@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from cyclopts import App
@@ -103,24 +104,25 @@ def run(
         write_text(path, text)
         console.print(f"written: {path}; next: dopslam score {path} --suite {suite}")
 
+    every: dict[str, str] = {}
     if estimator is not None:
         with _bars() as progress:
-            text, maps, failed = estimated(suite, estimator, split, tuple(filter_names(filters)), progress)
-        for case, why in failed.items():
-            console.print(f"failed: {case}: {why}")
+            text, maps, every = estimated(suite, estimator, split, tuple(filter_names(filters)), progress)
         own = estimator.rpartition(":")[2]
         leave(own, text)
         for name, text in maps.items():
             leave(f"{own}+{name.rpartition(':')[2]}", text)
-        told_of_compiling(console, filter_names(filters))
-        return
-    for name in filter_names(filters) or ["joint"]:
-        with _bars() as progress:
-            text, failed = answers(suite, name, split, progress)
-        for case, why in failed.items():
-            console.print(f"failed: {case}: {why}")
-        leave(name.rpartition(":")[2], text)
-    told_of_compiling(console, filter_names(filters) or ["joint"])
+    else:
+        for name in filter_names(filters) or ["joint"]:
+            with _bars() as progress:
+                text, failed = answers(suite, name, split, progress)
+            every |= {f"{case}, {name}": why for case, why in failed.items()}
+            leave(name.rpartition(":")[2], text)
+    told_of_compiling(console, filter_names(filters) or ([] if estimator else ["joint"]))
+    for case, why in every.items():
+        console.print(f"failed: {case}: {why}")
+    if every:
+        sys.exit(1)
 
 
 def _bars():

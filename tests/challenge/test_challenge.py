@@ -13,7 +13,7 @@ from dopslam.models.measurement import measure, residual
 from dopslam.pipeline import file as stages
 from dopslam.pipeline import problem as build
 from dopslam.pipeline import stages as pipeline
-from dopslam.records import DetectionSeries
+from dopslam.records import SPEED_OF_LIGHT, DetectionSeries
 from dopslam.store import file as dataset
 from dopslam.studies.challenge import answer as answers
 from dopslam.studies.challenge import board, cases, filtered, make, score
@@ -53,6 +53,36 @@ def test_the_files_say_what_the_records_say(suite):
     told = json.loads(base.with_suffix(".json").read_text())
     assert told["base_station"]["position_m"] == [0, 0, 40] and len(told["time_s"]) == 6
     assert set(dataset.groups(base.with_suffix(".h5"))) == {"base_stations", "detections"}
+
+
+HALF = """
+import numpy as np
+import dopslam as ds
+
+class Half:
+    "Gives up where a path is shorter than in the other case."
+    capabilities = ds.Capabilities(doppler=False)
+    def init(self, problem, rng):
+        return problem
+    def step(self, state, scan, rng):
+        if scan.z[:, 0].min() < LIMIT:
+            raise ZeroDivisionError("no more")
+        return state, ds.Info(ds.Estimate(state.mean, state.covariance))
+"""
+
+
+def test_a_case_that_fails_is_named_and_the_others_are_answered(suite, tmp_path, call, capsys):
+    entries = score.manifest_of(suite / "suite")["cases"]
+    first = {}
+    for entry in entries:
+        path = suite / "suite" / entry["split"] / f"{entry['name']}.h5"
+        first[entry["name"]] = SPEED_OF_LIGHT * dataset.read_record(path, "detections", DetectionSeries).delay.min()
+    (tmp_path / "half.py").write_text(f"LIMIT = {float(np.mean(list(first.values())))!r}\n{HALF}")
+    assert call("benchmark", "run", suite / "suite", "--filter", f"{tmp_path / 'half.py'}:Half", "--out", tmp_path) == 1
+    said = capsys.readouterr().out
+    poor, good = sorted(first, key=lambda name: first[name])
+    assert f"failed: {poor}, " in said and "no more" in said
+    assert set(scored(suite, tmp_path / "Half.csv")["cases"]) == {good}
 
 
 def test_a_filter_answers_and_its_file_scores_as_its_table(suite, tmp_path):

@@ -21,6 +21,7 @@ from dopslam.slam.snapshot.score import Beliefs, explain
 Array = NDArray[np.float64]
 
 CHUNK = 4000  # poses scored at once
+ROUNDING = 1e-12  # of an information, that its solution cannot tell from nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,13 +168,20 @@ def _refine(pose: Array, rays: Rays, prior: Prior | None, search: Search, coarse
         widened = coarse * 0.4**iteration if iteration < search.iterations - 3 else 0.0
         parts = explain(pose, rays, search.beliefs, widened)
         _, pull, information = _prior_terms(pose, prior)
-        change = np.linalg.solve(parts.information + information + floor, (parts.gradient + pull)[..., None])[..., 0]
+        total = _regular(parts.information + information + floor)
+        change = np.linalg.solve(total, (parts.gradient + pull)[..., None])[..., 0]
         change /= np.maximum(1.0, np.max(np.abs(change) / longest, axis=1, keepdims=True, initial=0.0))
         pose = pose + change
         pose[:, 2] = wrap(pose[:, 2])
     parts = explain(pose, rays, search.beliefs)
     log_prior, _, information = _prior_terms(pose, prior)
-    return pose, parts.information + information + floor, parts.log_likelihood + log_prior, parts
+    return pose, _regular(parts.information + information + floor), parts.log_likelihood + log_prior, parts
+
+
+def _regular(information: Array) -> Array:
+    """Information that can be inverted: paths measured to micrometers drown a floor of meters in their rounding."""
+    diagonal = np.einsum("mii->mi", information)
+    return information + ROUNDING * diagonal[:, :, None] * np.eye(information.shape[-1])
 
 
 def _collect(pose: Array, information: Array, density: Array, parts, rays: Rays, search: Search) -> Modes:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dopslam.config.scenario import override, parse
-from dopslam.errors import DatasetError, DopslamError
+from dopslam.errors import DatasetError
 from dopslam.pipeline import ahead
 from dopslam.pipeline import stages as pipeline
 from dopslam.pipeline.signals import StoredSignal
@@ -24,6 +24,7 @@ from dopslam.pipeline.stages import Progress, quiet
 from dopslam.records import DetectionSeries
 from dopslam.store import file as dataset
 from dopslam.studies.challenge import answer, make
+from dopslam.studies.challenge.filtered import reason
 from dopslam.studies.challenge.make import SIGNAL
 from dopslam.studies.challenge.score import chosen, verify
 
@@ -84,8 +85,8 @@ def estimated(
             timed = _Timed(StoredSignal(path, dataset.signal_steps(path), stamps))
             try:
                 series = pipeline.estimate(scenario, timed)
-            except DopslamError as error:
-                failed[case["name"]] = str(error)
+            except Exception as error:
+                failed[case["name"]] = reason(error)
                 continue
             # The first snapshot waits for what is compiled or tabulated once.
             seconds = np.diff([*timed.asked, time.perf_counter()])
@@ -95,8 +96,8 @@ def estimated(
             for name in filters:
                 try:
                     history = ahead.sooner([name], pipeline.slam, scenario, series, name, True, seed)
-                except DopslamError as error:
-                    failed[f"{case['name']}, {name}"] = str(error)
+                except Exception as error:
+                    failed[f"{case['name']}, {name}"] = reason(error)
                     continue
                 assert series.time is not None
                 found = answer.of_history(series.time, history, scenario.filter.report_existence)

@@ -114,3 +114,12 @@ def test_two_base_stations_count_twice():
     modes = find_modes(both)
     assert located(modes, state)[0]
     assert np.trace(modes.covariance[0]) < np.trace(find_modes(first).covariance[0])
+
+
+def test_paths_measured_to_micrometers_are_no_singular_matrix():
+    """A clean short path at 70 dB: its information drowns everything that bounds the rest in its rounding."""
+    for seed in range(12):
+        _, rays = room(FIRST + seed)
+        sharp = rays.covariance * np.logspace(-12, 0, len(rays.z))[:, None, None]
+        modes = find_modes(replace(rays, covariance=sharp))
+        assert np.isfinite(modes.pose).all() and np.linalg.eigvalsh(modes.covariance).min() > 0
