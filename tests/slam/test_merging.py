@@ -146,19 +146,52 @@ def splintered(world, rng, pieces, apart=0.0):
     return rows, np.tile(noise, (pieces, 1, 1)), np.log(10.0) + np.arange(pieces) * 0.5
 
 
+def pass_over(world, rows, noise, strength, *landmarks):
+    """Mark splinters in place, with a map."""
+    given = density(world, *(landmarks or [(VA, world.landmarks(VA)[3], 0.9, 1.0)]))
+    pass_over_splinters(
+        given, N, Scan(rows, noise, strength, 0, 1e-9, 1.0), compile_model(FilterParameters(), world.motion, world.bs)
+    )
+
+
+def test_what_the_map_explains_is_no_piece(world, rng):
+    """The weakest of a family leaves as the known wall says it does: it is read as it is, the strongest of the others freed."""
+    rows, noise, strength = splintered(world, rng, 5)
+    rows[0] = path(world)[0]
+    kept = noise.copy()
+    pass_over(world, rows, noise, strength, (VA, world.landmarks(VA)[0], 0.9, 1.0))
+    np.testing.assert_array_equal(np.isfinite(strength), [True, False, False, False, True])
+    np.testing.assert_array_equal(noise[0], kept[0])
+    assert noise[4, 3, 3] > 3.0
+
+
+def test_paths_of_known_landmarks_in_one_cell_are_no_family(world, rng):
+    """Three that agree, two of them of walls in the map: the third is somebody else's, not a piece."""
+    rows, noise, strength = splintered(world, rng, 3)
+    rows[1:, 3:5] = rng.uniform(2.0, 2.1, (2, 2)) * [1.0, 0.1]
+    wall = world.landmarks(VA)[0]
+    other = wall + np.array([3.0, 3.0, 0.0])
+    noise[:, 0, 0] = noise[:, 5, 5] = 1.0
+    noise[:, 1, 1] = noise[:, 2, 2] = 0.1
+    rows[0] = path(world)[0]
+    rows[1] = measure(world.prior_mean, other, np.array([VA]), world.bs, speed=world.motion.speed)[0]
+    told = strength.copy()
+    pass_over(world, rows, noise, strength, (VA, wall, 0.9, 1.0), (VA, other, 0.9, 1.0))
+    np.testing.assert_array_equal(strength, told)
+
+
 def test_pieces_of_one_path_are_one_detection_without_departure(world, rng):
     rows, noise, strength = splintered(world, rng, 5)
     other, own = path(world, world.landmarks(VA)[1:2])
     rows, noise, strength = np.vstack([rows, other]), np.concatenate([noise, own[None]]), np.append(strength, 3.0)
     kept, told = noise.copy(), strength.copy()
-    offsets = np.array([0, 6])
-    pass_over_splinters(rows, noise, strength, offsets)
+    pass_over(world, rows, noise, strength)
     np.testing.assert_array_equal(np.isfinite(strength), [False, False, False, False, True, True])
     assert noise[4, 3, 3] > 3.0 and noise[4, 4, 4] > 0.5 and noise[4, 0, 0] == kept[4, 0, 0]
     np.testing.assert_array_equal(noise[5], kept[5])
     for unchanged, strong in ((rows[3:], told[3:]), (rows, np.zeros(6)), (splintered(world, rng, 5, 0.5)[0], told[:5])):
         before, after = strong.copy(), kept[: len(strong)].copy()  # a pair; ρ unknown; apart in delay
-        pass_over_splinters(unchanged, after, strong, np.array([0, len(strong)]))
+        pass_over(world, unchanged, after, strong)
         np.testing.assert_array_equal(strong, before)
         np.testing.assert_array_equal(after, kept[: len(strong)])
 
@@ -166,7 +199,6 @@ def test_pieces_of_one_path_are_one_detection_without_departure(world, rng):
 def test_splinters_make_no_landmarks_and_the_strongest_updates_its_own(world, rng):
     """Eight pieces of a known wall's path: nothing is born, the wall has been seen."""
     rows, noise, strength = splintered(world, rng, 8)
-    pass_over_splinters(rows, noise, strength, np.array([0, 8]))
     given = density(world, (VA, world.landmarks(VA)[0], 0.9, 1.0))
     given.covariance[:N, :N] *= 1e-4
     motion = replace(world.motion, interval=1e-9, process_noise=1e-9 * np.eye(N))

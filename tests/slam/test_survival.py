@@ -214,17 +214,36 @@ def test_factorize_mends_rounding_and_nothing_else():
     assert not factorize(np.full((2, 2), np.nan), 2)
 
 
-def test_flags_of_the_estimator_widen_what_the_filters_believe():
-    count = 3
-    series = DetectionSeries(
-        offsets=np.array([0, count]), delay=np.full(count, 1e-7), aoa=np.zeros((count, 2)), aod=np.zeros((count, 2)),
-        radial_velocity=np.zeros(count), gain=np.ones(count, complex), covariance=np.tile(np.eye(6), (count, 1, 1)),
-        snr=np.ones(count), noise_variance=np.ones(1), threshold=1.0, false_alarm_rate=0.01, search_volume=1.0,
-        flags=np.array([0, 1, 4]),
+def flagged(flags, snr, apart=0.0):
+    """Detections of one scan whose R falls with their ρ, `apart` [s] in delay."""
+    count = len(flags)
+    variance = np.array([1e-18, 1e-6, 1e-6, 1e-6, 1e-6, 1e-4]) * 1e4 / np.asarray(snr)[:, None]
+    return DetectionSeries(
+        offsets=np.array([0, count]), delay=1e-7 + apart * np.arange(count), aoa=np.zeros((count, 2)),
+        aod=np.zeros((count, 2)), radial_velocity=np.zeros(count), gain=np.ones(count, complex),
+        covariance=np.einsum("ni,ij->nij", variance, np.eye(6)), snr=np.asarray(snr, float), noise_variance=np.ones(1),
+        threshold=1.0, false_alarm_rate=0.01, search_volume=1.0, flags=np.array(flags),
     )  # fmt: skip
-    scans = from_detections(series, doppler_span=1.0)
-    np.testing.assert_array_equal(scans.covariance[1], 4.0 * scans.covariance[0])
-    np.testing.assert_array_equal(scans.covariance[2], scans.covariance[0])
+
+
+def widened(series):
+    """By what the variance of each delay grows."""
+    scale = 299792458.0**2 * series.covariance[:, 0, 0]
+    return from_detections(series, doppler_span=1.0).covariance[:, 0, 0] / scale
+
+
+def test_flags_of_the_estimator_widen_what_the_filters_believe():
+    """A close pair by two, the edge of view by four, what is no single path by ten; a weak detection is what it is."""
+    np.testing.assert_allclose(widened(flagged([0, 1, 4, 2, 32, 33], [1e4] * 6)), [1, 2, 1, 4, 10, 10])
+
+
+def test_a_crowd_within_a_resolution_cell_is_doubted():
+    """Four close detections in one cell, R falling with ρ; not where the fourth is further off, nor where no cell is known."""
+    snr = [1e4, 2e4, 4e4, 8e4]
+    np.testing.assert_allclose(widened(flagged([1] * 4, snr, 1e-9)), 10.0)
+    np.testing.assert_allclose(widened(flagged([1] * 4, snr, 1e-6)), 2.0)
+    np.testing.assert_allclose(widened(flagged([1, 1, 1, 0], snr, 1e-9)), [2, 2, 2, 1])
+    np.testing.assert_allclose(widened(flagged([1] * 4, [1e4] * 4, 1e-9)), 2.0)
 
 
 def test_sharp_detections_neither_fail_nor_diverge(world):

@@ -122,6 +122,7 @@ class Model(NamedTuple):
     inform: bool
     lazy: bool
     planar: bool
+    pieces: bool
     sp_range: float
     use_snr: bool
     table: Array
@@ -194,6 +195,8 @@ class FilterParameters:
     planar : bool
         No elevation is measured at all: landmarks are held at the height of the base station, or the receiver's (scatter
         points).
+    pieces : bool
+        Whether pieces of one path are passed over (`splinters`); of no use where R does not fall with ρ.
     negligible : float
         Associations below this weight relative to the best are not updated.
     detection : ConstantDetection or SnrDetection
@@ -225,6 +228,7 @@ class FilterParameters:
     inform: bool = True
     lazy: bool = True
     planar: bool = False
+    pieces: bool = True
     negligible: float = 1e-4
     detection: DetectionModel = field(default_factory=ConstantDetection)
     memory: float = 5.0
@@ -290,6 +294,7 @@ def compile_model(parameters: FilterParameters, motion: MotionModel, bs: Array, 
         inform=bool(parameters.inform and parameters.joint),
         lazy=bool(parameters.lazy and parameters.joint),
         planar=bool(parameters.planar),
+        pieces=bool(parameters.pieces),
         sp_range=np.inf if limit is None else float(limit),
         use_snr=isinstance(detection, SnrDetection),
         table=detection_table(detection),

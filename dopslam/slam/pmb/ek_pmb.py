@@ -222,7 +222,8 @@ def step(posterior, scan, model):
 
 @inlined
 def recursion(prior, n, scan, model):
-    """The same from the predicted density on."""
+    """The same from the predicted density on; in the scan `splinters` are marked, as one that passes them over."""
+    pass_over_splinters(prior, n, scan, model)
     local = local_hypotheses(prior, n, scan, model)
     log_term, log_new, position = new_hypotheses(prior, n, scan, local, model)
     distort(prior, local, log_new, model)
@@ -297,7 +298,7 @@ def filter_scans(z, covariance, log_snr, offsets, clutter, pace, density, model,
 def scan_arrays(
     scans: Scans, doppler: bool, period: float
 ) -> tuple[Array, Array, Array, NDArray[np.int64], float, Array]:
-    """Measurements, covariances, ln ρ (zeros where unknown, -∞ for `splinters`), offsets, clutter intensity and pace of all scans, with or
+    """Measurements, covariances, ln ρ (zeros where unknown), offsets, clutter intensity and pace of all scans, with or
     without the Doppler row; `period` [s] is the motion model's.
     """
     m = 6 if doppler else 5
@@ -305,8 +306,6 @@ def scan_arrays(
     covariance = np.array(scans.covariance[:, :m, :m], order="C")
     log_snr = np.zeros(len(scans.z)) if scans.snr is None else np.log(np.maximum(scans.snr, 1e-12))
     offsets = scans.offsets.astype(np.int64)
-    if scans.cells:
-        pass_over_splinters(z, covariance, log_snr, offsets)
     return z, covariance, log_snr, offsets, scans.clutter_intensity(doppler), scans.pace(period)
 
 
@@ -344,6 +343,7 @@ def run(
     bs: Array,
     parameters: FilterParameters | None = None,
     height: float = 0.0,
+    arrays=None,
 ) -> tuple[History, Diagnostics]:
     """Filter a whole run.
 
@@ -355,6 +355,7 @@ def run(
     bs : (3,) array [m]
     parameters : FilterParameters, default the joint filter
     height : float, height of the UE's plane [m]
+    arrays : of :func:`scan_arrays`, in which what is passed over is then marked; made where not given
 
     Returns
     -------
@@ -368,7 +369,7 @@ def run(
     parameters = parameters or FilterParameters()
     model = compile_model(parameters, motion, bs, height)
     check_inputs(scans, parameters, model, *prior)
-    arrays, at = scan_arrays(scans, parameters.doppler, motion.interval), np.zeros(1, dtype=np.int64)
+    arrays, at = arrays or scan_arrays(scans, parameters.doppler, motion.interval), np.zeros(1, dtype=np.int64)
     try:
         _, mean, covariance, map_offsets, table, weight, count, track, existence, nis, rows = filter_scans(
             *arrays, initial_density(*prior), model, at

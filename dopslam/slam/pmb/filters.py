@@ -106,6 +106,7 @@ class Joint:
             birth_intensity=problem.births,
             detection=problem.detection_of(scans),
             outlier=OUTLIER if scans.cells else 0.0,
+            pieces=scans.cells,
             planar=planar,
         )
 
@@ -125,8 +126,8 @@ class Joint:
                 predicted(model, now, self._reported(state.density).mean[: now.dimension]),
                 read._replace(pace=1.0),
             )
-        passed = int(np.isneginf(read.log_snr).sum())
         density, told = self._step(state.density, read, model)
+        passed = int(np.isneginf(read.log_snr).sum())
         info = Info(
             estimate_of(self._reported(density)), told.nis, told.rows, told.weight, told.track, told.existence, passed
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.compute.linalg import factorize, solve_lower_vector
 from dopslam.models.kernels import SP, log_spreading, measured_rows, noise_entry, subtract
+from dopslam.models.scans import CELL
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import visible_share
 from dopslam.slam.pmb.curvature import add_curvature
@@ -26,7 +27,6 @@ from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, proj
 Array = NDArray[np.float64]
 
 ESTABLISHED = 2.5  # detections from which a landmark is no false alarm (an average over associations: no whole number)
-CELL = 1.65  # (½ c/B)² over ρ σ² of a delay with a flat band, σ = c √12/(√(8π²) B √ρ)
 
 
 class Local(NamedTuple):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from dopslam.compute.compiled import compiled, inlined, take
 from dopslam.compute.linalg import factorize, solve_lower, solve_lower_vector
 from dopslam.models.kernels import linearize, measured_rows, noise_entry, subtract
+from dopslam.models.scans import CELL
 from dopslam.slam.pmb.density import start_of
-from dopslam.slam.pmb.hypotheses import CELL, log_shape
+from dopslam.slam.pmb.hypotheses import log_shape
 from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, project_rows
 
 Array = NDArray[np.float64]

@@ -31,6 +31,7 @@ from dopslam.slam.pmb.ek_pmb import (
     worth_updating,
 )
 from dopslam.slam.pmb.hypotheses import Associations, best_associations, distort, local_hypotheses
+from dopslam.slam.pmb.splinters import pass_over_splinters
 from dopslam.slam.pmb.update import update
 
 Array = NDArray[np.float64]
@@ -78,6 +79,8 @@ def step(mixture: list[Hypothesis], scan: Scan, model: Model, cap: int) -> tuple
     """
     candidates: list[tuple[float, int, int]] = []
     parts = []
+    likeliest = predict(mixture[0].density, model, scan.pace)
+    pass_over_splinters(likeliest, ue_size(likeliest), scan, model)
     for h, hypothesis in enumerate(mixture):
         part = associate(hypothesis.density, scan, model)
         parts.append(part)

@@ -266,8 +266,9 @@ def run(
     them.
     """
     parameters, smoothing = parameters or FilterParameters(), smoothing or SmootherParameters()
-    history, diagnostics = ek_pmb.run(scans, prior, motion, bs, parameters, height)
-    z, covariance, _, offsets, _, pace = ek_pmb.scan_arrays(scans, parameters.doppler, motion.interval)
+    arrays = ek_pmb.scan_arrays(scans, parameters.doppler, motion.interval)
+    history, diagnostics = ek_pmb.run(scans, prior, motion, bs, parameters, height, arrays)
+    z, covariance, _, offsets, _, pace = arrays
     chosen = [np.empty(0, dtype=np.int64), *(a[0] for a in diagnostics.associations)]
     position, spread = history.position.copy(), history.position_covariance.copy()
     n = motion.dimension

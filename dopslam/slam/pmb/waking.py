@@ -8,8 +8,9 @@ import numpy as np
 
 from dopslam.compute.compiled import compiled, copy_vector, take
 from dopslam.models.kernels import SP, linearize, log_spreading, noise_entry, subtract
+from dopslam.models.scans import CELL
 from dopslam.slam.pmb.density import INERT, NO_TRACK, PMB, look_up, start_of
-from dopslam.slam.pmb.hypotheses import CELL, ESTABLISHED
+from dopslam.slam.pmb.hypotheses import ESTABLISHED
 from dopslam.slam.pmb.newborn import RARE
 from dopslam.slam.pmb.sleeping import (
     AWAKE,
