@@ -75,5 +75,7 @@ with tempfile.TemporaryDirectory() as folder:
     main(["import", str(table), "--map", str(rule), "--scene", "ring_road", "--out", str(data)])
     # and: dopslam slam mine.h5 --filter joint
     main(["slam", str(data), "--filter", "joint"])
+    # To look at what was found, without a truth too: dopslam view mine.h5
+    main(["view", "--no-open", str(data)])
     # The walls that were found, for a map program: dopslam export mine.h5 --to geojson --out map
     main(["export", str(data), "--to", "geojson", "--out", str(Path(folder, "map"))])

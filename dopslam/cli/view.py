@@ -23,7 +23,8 @@ def view(
     Parameters
     ----------
     results
-        Results folder, report.html, or a dataset file that holds a filter's history and its bound.
+        Results folder, report.html, or a dataset file that holds a filter's history: beside its bound where there is
+        a true track, as what was found where there is none.
     open_
         Show it in the browser; --no-open only makes it and prints its path.
     serve
@@ -33,6 +34,7 @@ def view(
 
     from dopslam.errors import DatasetError
     from dopslam.pipeline import file as stages
+    from dopslam.pipeline import found
 
     page = results / "report.html" if results.is_dir() else results
     if page.suffix != ".html" or not page.exists():
@@ -42,7 +44,10 @@ def view(
                 f"{results}: neither a results folder with report.html or dataset.h5 nor a dataset; 'dopslam run' makes one"
             )
         page = data.with_name("report.html")
-        stages.report(data, data.parent, *stages.evaluate(data))
+        if found.has_truth(data):
+            stages.report(data, data.parent, *stages.evaluate(data))
+        else:
+            found.report(data, data.parent)
     print(f"report: {page.resolve()}")
     if serve:
         with server_of(page) as server:

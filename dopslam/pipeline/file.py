@@ -190,7 +190,7 @@ def after_slam(path: Path) -> str:
     """The command that shows what the filters of a file found: what is compared with the truth, or what goes out without one."""
     have = dataset.groups(path)
     if "track" not in have:
-        return f"dopslam export {path} --to csv --out FOLDER"
+        return f"dopslam view {path}, or dopslam export {path} --to csv --out FOLDER"
     known = "landmarks" in have and _map_known(
         dataset.read_record(path, "landmarks", Landmarks),
         dataset.read_record(path, "paths", Paths) if "paths" in have else None,

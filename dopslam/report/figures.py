@@ -124,6 +124,63 @@ def plan_view(
     return figure
 
 
+def found_view(history, base_station: np.ndarray, height: float, threshold: float = 0.5) -> Figure:
+    """What a filter found, from above, where no truth is known: track and map with 95 % ellipses and bands.
+
+    Parameters
+    ----------
+    history : ``dopslam.slam.history.History``
+    base_station : (3,) m; height : m, of the receiver
+    threshold : existence above which a landmark is drawn
+    """
+    found = walls(history, base_station, height, threshold=threshold)
+    last = history.rows(history.steps - 1)
+    points = (history.existence[last] > threshold) & (history.kind[last] == Kind.SP)
+    where, spread = history.position[last][points], history.position_covariance[last][points][:, :2, :2]
+    lines = [c[:2, :2] for c, _ in _upright(found)]
+    corner = np.concatenate([history.mean[:, :2], base_station[None, :2], where[:, :2], *lines])
+    low, high = _spaced(corner)
+    tall = float((high - low)[1] / (high - low)[0])
+    figure = Figure(figsize=(7.4, float(np.clip(6.3 * tall, 2.4, 8.5)) + 1.8))
+    axes = figure.add_subplot(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    enlarged = _enlargement(np.concatenate([history.covariance[:, :2, :2], spread]), float(np.max(high - low)))
+    axes.plot(*base_station[:2], "*", color=TRUE, markersize=14, label="base station", zorder=5, linestyle="none")
+    axes.plot(
+        *history.mean[:, :2].T, ".-", color=ESTIMATE, markersize=5, linewidth=0.8, label="estimated track", zorder=4
+    )
+    axes.plot(*history.mean[0, :2], "o", mfc="none", mec=ESTIMATE, markersize=9, label="start", linestyle="none")
+    _walls(axes, found, enlarged)
+    label = "scatter points" if len(where) else None
+    axes.plot(*where[:, :2].T, "o", color=SP, markersize=5, label=label, linestyle="none", zorder=4)
+    for mean, covariance in zip(history.mean, history.covariance, strict=True):
+        _ellipse(axes, mean[:2], covariance[:2, :2], ESTIMATE, enlarged)
+    for mean, covariance in zip(where, spread, strict=True):
+        _ellipse(axes, mean[:2], covariance, SP, enlarged)
+    scale = f", drawn {enlarged}× larger" if enlarged > 1 else ""
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"Track and map from above (95 % ellipses and bands{scale})")
+    axes.set_aspect("equal", adjustable="box")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def claims_over_time(time: np.ndarray, history) -> Figure:
+    """Standard deviations that a filter gives for position, heading and clock, one panel each."""
+    figure = Figure(figsize=(7.0, 6.4))
+    variance = np.einsum("kii->ki", history.covariance)
+    panels = (
+        ("position [m]", variance[:, 0] + variance[:, 1], 1.0),
+        ("heading [°]", variance[:, 2], 180 / np.pi),
+        ("clock bias [m]", variance[:, 3], 1.0),
+    )
+    axes = figure.subplots(len(panels), 1, sharex=True)
+    for ax, (name, values, unit) in zip(axes, panels, strict=True):
+        ax.semilogy(time, unit * np.sqrt(np.maximum(values, 1e-18)), ".-", color=ESTIMATE, linewidth=1)
+        ax.set_ylabel(name)
+    axes[0].set_title("How sure the filter says it is (standard deviations)")
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
 def _upright(found) -> list:
     """(corners, normal) of the walls that have a line in the plan; levels (floors) have none."""
     return [(c, n) for c, n in zip(found.corners, found.normal, strict=True) if np.hypot(*n[:2]) >= 0.5]
@@ -157,6 +214,11 @@ def _frame(bs, track: Track, paths: Paths | None, landmarks: Landmarks, lines, m
     if paths is not None:
         shown.append(paths.vertices[:, :2])
     points = np.concatenate(shown)
+    return _spaced(points, margin)
+
+
+def _spaced(points: np.ndarray, margin: float = 0.06):
+    """Corners (2,) of a box around points with some space."""
     low, high = points.min(axis=0), points.max(axis=0)
     space = margin * max(*(high - low), 1.0)
     return low - space, high + space

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from itertools import pairwise
@@ -48,21 +48,35 @@ def report_page(
     replay : tree of :func:`dopslam.report.replay.replay`
     configuration : the effective ``scenario.toml``
     """
-    title = f"{summary['scenario']}, seed {summary['seed']}"
+    figure_list = "".join(svg(n, f) for n, f in figures.items())
+    return document(
+        f"{summary['scenario']}, seed {summary['seed']}",
+        _subtitle(summary, replay),
+        [
+            _lead(summary),
+            replay_section(LEGEND, LAYERS),
+            _walls_section(summary, replay),
+            f'<section><h2>Errors beside their bounds</h2><div class="scroll">{table_of(table)}</div>{_reading(summary)}</section>',
+            f'<section><h2>Figures</h2><div class="figures">{figure_list}</div></section>',
+            details("Configuration", configuration),
+            details(
+                "Versions", "\n".join(f"{name} {version}" for name, version in summary.get("versions", {}).items())
+            ),
+        ],
+        replay,
+    )
+
+
+def document(title: str, subtitle: Sequence[str], sections: Sequence[str], replay: Mapping) -> str:
+    """A whole page: heading and sections of HTML, with scripts, style and the data of the replay inside."""
     return "\n".join([
         "<!doctype html>",
         f'<html lang="en"><head><meta charset="utf-8"><title>dopslam: {escape(title)}</title>',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<link rel="icon" href="data:,">',
         f"<style>{_asset('page.css')}</style></head><body><main>",
-        f"<header><h1>{escape(title)}</h1>{''.join(f'<p>{escape(line)}</p>' for line in _subtitle(summary, replay))}</header>",
-        _lead(summary),
-        _replay_section(),
-        _walls_section(summary, replay),
-        f'<section><h2>Errors beside their bounds</h2><div class="scroll">{_table(table)}</div>{_reading(summary)}</section>',
-        f'<section><h2>Figures</h2><div class="figures">{"".join(_svg(n, f) for n, f in figures.items())}</div></section>',
-        _details("Configuration", configuration),
-        _details("Versions", "\n".join(f"{name} {version}" for name, version in summary.get("versions", {}).items())),
+        f"<header><h1>{escape(title)}</h1>{''.join(f'<p>{escape(line)}</p>' for line in subtitle)}</header>",
+        *sections,
         "<footer>Made by dopslam. Drag to turn, pinch or scroll to zoom, right-drag or two fingers to move.</footer>",
         "</main>",
         f'<script type="application/json" id="replay-data">{_embedded(replay)}</script>',
@@ -104,6 +118,11 @@ def length_text(meters: float) -> str:
     return f"{meters / 1e3:.2f} km"
 
 
+def card(figure: str, what: str, more: str) -> str:
+    """A figure in large, what it is, and what stands beside it."""
+    return f"<div><b>{escape(figure)}</b><span>{escape(what)}</span><i>{escape(more)}</i></div>"
+
+
 def _cards(summary: Mapping) -> str:
     """The figures that a stranger asks for first."""
     v = summary["variants"][summary["filter"]]
@@ -126,11 +145,7 @@ def _cards(summary: Mapping) -> str:
         (f"{v['sp_found']} of {v['sp_total']}", "small objects found", "scatter points"),
         (trust, "its own error bars", f"NEES {nees:.1f}, 4 expected"),
     ]
-    return (
-        '<div class="cards">'
-        + "".join(f"<div><b>{escape(a)}</b><span>{escape(b)}</span><i>{escape(c)}</i></div>" for a, b, c in cards)
-        + "</div>"
-    )
+    return '<div class="cards">' + "".join(card(*one) for one in cards) + "</div>"
 
 
 def _lead(summary: Mapping) -> str:
@@ -163,11 +178,12 @@ def _lead(summary: Mapping) -> str:
     return f"<section><h2>What came out</h2>{alarm}{body}{anew}</section>"
 
 
-def _replay_section() -> str:
+def replay_section(legend_of: Sequence[tuple[str, str]], layers: Sequence[tuple[str, str]]) -> str:
+    """The replay with its slider, what can be hidden in it (key, label), and what its colors mean."""
     boxes = "".join(
-        f'<label><input type="checkbox" data-layer="{key}" checked> {label}</label>' for key, label in LAYERS
+        f'<label><input type="checkbox" data-layer="{key}" checked> {label}</label>' for key, label in layers
     )
-    legend = "".join(f'<li><i style="background:{color}"></i>{label}</li>' for color, label in LEGEND)
+    legend = "".join(f'<li><i style="background:{color}"></i>{label}</li>' for color, label in legend_of)
     return (
         '<section><h2>Replay</h2><div id="replay-stage"></div>'
         '<div class="controls"><button id="replay-play" aria-label="play">▶</button>'
@@ -202,11 +218,12 @@ def _walls_section(summary: Mapping, replay: Mapping) -> str:
         notes.append(f"{false} of its walls {'is' if false == 1 else 'are'} none.")
     notes.append("Off and turned are from the true wall; ± is what the filter itself says, for 95 %.")
     told = " ".join(note for note in notes if note)
-    table = f'<div class="scroll">{_table(rows)}</div>' if true else ""
+    table = f'<div class="scroll">{table_of(rows)}</div>' if true else ""
     return f'<section><h2>Walls it found</h2>{table}<p class="note">{escape(told)}</p></section>'
 
 
-def _table(rows: list[list[str]]) -> str:
+def table_of(rows: list[list[str]]) -> str:
+    """A table whose first row heads its columns."""
     head, *body = rows
     return (
         f"<table><thead><tr>{''.join(f'<th>{escape(cell)}</th>' for cell in head)}</tr></thead><tbody>"
@@ -215,7 +232,8 @@ def _table(rows: list[list[str]]) -> str:
     )
 
 
-def _details(title: str, text: str) -> str:
+def details(title: str, text: str) -> str:
+    """A section that opens on demand."""
     return f"<section><details><summary>{title}</summary><pre>{escape(text)}</pre></details></section>"
 
 
@@ -224,6 +242,8 @@ CAPTIONS = {
     "hold 95 % of what the filter thinks possible.",
     "errors": "Blue: how far off it was at every step. Orange: the standard deviation that the best filter would have.",
     "gospa": "How wrong the map is: missed and false landmarks and distances in one number that falls as the map is learned.",
+    "found": "Where it went and what it found. Ellipses and bands hold 95 % of what the filter thinks possible.",
+    "claimed": "The standard deviations that the filter gives for its own position, heading and clock.",
     "detections": "What the channel estimator reported (crosses) over what was there (circles).",
 }
 
@@ -238,7 +258,7 @@ def _reading(summary: Mapping) -> str:
     )
 
 
-def _svg(name: str, figure: Figure) -> str:
+def svg(name: str, figure: Figure) -> str:
     """The picture as an inline SVG element with its caption."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg")

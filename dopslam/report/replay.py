@@ -3,7 +3,7 @@
 Lengths in meters, world frame, z up; rounded to a millimeter, which is less than a pixel. A map row is
 ``[x, y, z, kind, existence, ix, iy, iz, l11, l21, l22, l31, l32, l33]``: landmark, interaction point of its path, and the
 Cholesky factor of its covariance. A wall is ``[corners, shift, name]``: four points, the vector along its normal to the edge
-of the band that holds 95 % of its distance, and the name of the true wall that it is, empty where it is none.
+of the band that holds 95 % of its distance, and the name of the true wall that it is: empty where it is none, its number where no true walls are known.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LARGEST_MESH = 200_000  # triangles; a larger scene is shown by its outlines
 
 
 def replay(
-    track: Track,
+    track: Track | None,
     landmarks: Landmarks,
     paths: Paths | None,
     plan: FloorPlan | None,
@@ -32,32 +32,37 @@ def replay(
     height: float = 0.0,
     threshold: float = 0.5,
     radius: float = 3.0,
+    time: np.ndarray | None = None,
 ) -> dict:
     """The tree that ``replay.js`` draws.
 
     Parameters
     ----------
-    track, landmarks, paths, plan : the truth; paths and plan may be None
+    track, landmarks, paths, plan : the truth; all but the landmarks, which hold the base station, may be None
     histories : filter name → history
     triangles : (T, 3, 3) m, the scene; None where it is not at hand
     height : m, of the receiver
     threshold : least existence of a landmark that is shown
     radius : m, within which a wall that was found has the name of the true one
+    time : (K,) s, where there is no true track to tell it
     """
     base_station = landmarks.position[landmarks.kind == Kind.BS][0]
+    moments = time if track is None else track.time
     if triangles is not None and len(triangles) > LARGEST_MESH:
         triangles = None
     return {
         "bs": _round(base_station),
-        "time": _round(track.time),
-        "truth": {"position": _round(track.position), "heading": _round(track.heading, 4)},
+        "time": [] if moments is None else _round(moments),
+        "truth": None if track is None else {"position": _round(track.position), "heading": _round(track.heading, 4)},
         "landmarks": [
             {"name": str(name), "kind": int(kind), "order": int(o), "position": _round(position)}
             for name, kind, o, position in zip(
                 landmarks.name, landmarks.kind, landmarks.order, landmarks.position, strict=True
             )
         ],
-        "rays": [] if paths is None else [_rays(base_station, track, paths, k) for k in range(paths.steps)],
+        "rays": []
+        if paths is None or track is None
+        else [_rays(base_station, track, paths, k) for k in range(paths.steps)],
         "mesh": None if triangles is None else _packed(triangles),
         "lit": {} if triangles is None else _lit(triangles, landmarks, base_station),
         "outlines": [] if plan is None else _outlines(plan),
@@ -124,7 +129,8 @@ def _filter(history: History, landmarks: Landmarks, height: float, threshold: fl
 
 def _walls(found: Walls, landmarks: Landmarks, radius: float) -> list:
     shift = 1.96 * found.deviation[:, None] * found.normal
-    names = wall_names(found, landmarks, radius)
+    known = np.any((landmarks.kind == Kind.VA) & (landmarks.order == 1))
+    names = wall_names(found, landmarks, radius) if known else [f"wall {track}" for track in found.track]
     return [[_round(c), _round(s, 4), name or ""] for c, s, name in zip(found.corners, shift, names, strict=True)]
 
 

@@ -187,7 +187,7 @@ def remedy(path, group: str, have: set[str]) -> str:
     if group in ("track", "landmarks") and "detections" in have:
         return (
             "bring the true track along: dopslam import TABLE … --track TRACK.csv; what was found without it: "
-            f"dopslam export {path} --to csv --out FOLDER, or tum, geojson, mcap"
+            f"dopslam view {path}, or dopslam export {path} --to csv --out FOLDER, or tum, geojson, mcap"
         )
     if group == "detections" and have & {"paths", "signal"}:
         return f"run 'dopslam estimate {path}' first"

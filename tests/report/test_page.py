@@ -60,6 +60,45 @@ def test_a_stranger_is_told_where_it_went_what_was_found_and_how_good_it_is(page
         assert row in text
 
 
+@pytest.fixture(scope="module")
+def bare(page, tmp_path_factory):
+    """The same detections and history in a file that holds no truth, and the report of it."""
+    from dopslam.cli import main
+    from dopslam.records import DetectionSeries
+    from dopslam.slam.history import History
+    from dopslam.store import file as dataset
+
+    whole, path = page.with_name("dataset.h5"), tmp_path_factory.mktemp("bare") / "own.h5"
+    records = {"detections": DetectionSeries, "slam_joint": History}
+    dataset.write_records(
+        path, {n: dataset.read_record(whole, n, k) for n, k in records.items()}, dataset.read_root(whole)[0], 0
+    )
+    main(["view", "--no-open", str(path)])
+    return path.with_name("report.html")
+
+
+def test_without_a_truth_the_report_says_what_was_found_and_nothing_of_errors(page, bare):
+    text = bare.read_text(encoding="utf-8")
+    tree = json.loads(re.search(r'id="replay-data">(.*?)</script>', text, re.S).group(1))
+    whole = json.loads(re.search(r'id="replay-data">(.*?)</script>', page.read_text(encoding="utf-8"), re.S).group(1))
+    assert tree["truth"] is None and not tree["rays"] and len(tree["landmarks"]) == 1
+    assert tree["time"] == whole["time"] and tree["filters"]["joint"]["map"] == whole["filters"]["joint"]["map"]
+    walls = tree["filters"]["joint"]["walls"][-1]
+    assert len(walls) > 0 and all(name.startswith("wall ") for *_, name in walls)
+    assert f"<b>{len(walls)}</b><span>walls found</span>" in text and "No true track is beside this run" in text
+    assert "error" not in re.sub(r"<(script|style|svg)\b.*?</\1>|<pre>.*?</pre>", "", text, flags=re.S)
+
+
+def test_a_file_without_filter_or_truth_says_what_to_run(page, tmp_path, call, capsys):
+    from dopslam.records import DetectionSeries
+    from dopslam.store import file as dataset
+
+    whole, path = page.with_name("dataset.h5"), tmp_path / "own.h5"
+    dataset.write_records(path, {"detections": dataset.read_record(whole, "detections", DetectionSeries)}, dataset.read_root(whole)[0], 0)  # fmt: skip
+    assert call("view", "--no-open", path) == 2
+    assert "run 'dopslam slam" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("meters", "text"), [(0.0044, "4.4 mm"), (0.044, "4.4 cm"), (0.44, "44.0 cm"), (4.4, "4.40 m"), (4400, "4.40 km")]
 )
@@ -75,8 +114,9 @@ def test_names_cannot_break_the_page():
 
 @pytest.mark.rt
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian's package chromium)")
-@pytest.mark.parametrize("step", [1, 4, 6])
-def test_the_replay_shows_a_step_without_errors(page, step, tmp_path):
+@pytest.mark.parametrize(("which", "step"), [("page", 1), ("page", 4), ("page", 6), ("bare", 3)])
+def test_the_replay_shows_a_step_without_errors(which, step, tmp_path, request):
+    page = request.getfixturevalue(which)
     done = subprocess.run(
         [CHROMIUM, *FLAGS, f"--user-data-dir={tmp_path}", "--enable-logging=stderr", "--dump-dom",
          f"{page.as_uri()}#step={step}"],

@@ -10,7 +10,8 @@
   const COLOR = { truth: 0x111111, estimate: 0x0072b2, va: 0xe69f00, sp: 0x009e73, ray: 0x9aa5b1, wall: 0xaab4c0, lit: 0xfff6d8, edge: 0xb37a00, bs: 0xd55e00 };
   const KIND = ["base station", "virtual anchor", "scatter point", "second reflection"];
   const names = Object.keys(data.filters);
-  const steps = data.truth.position.length;
+  const steps = data.time.length;
+  const track = data.truth || data.filters[names[0]]; // what the picture is made around
   const state = { step: 0, filter: names[0], enlarge: 1, playing: false, show: { scene: true, rays: true, map: true, truth: true, walls: true, names: true } };
   window.replay = state; // for tests and for the curious
 
@@ -31,7 +32,7 @@
   scene.add(sun);
 
   // The view frames what a person wants to see: track, base station and what the rays touch, not far virtual anchors.
-  const framed = [...data.truth.position, data.bs];
+  const framed = [...track.position, data.bs];
   data.rays.forEach((rays) => rays.forEach((ray) => framed.push(...ray[1])));
   if (!data.rays.length) framed.push(...data.landmarks.filter((l) => l.kind === 2).map((l) => l.position));
   names.forEach((n) => data.filters[n].walls[steps - 1].forEach((wall) => { if (wall[2]) framed.push(...wall[0]); }));
@@ -145,7 +146,7 @@
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(all.geometry, 20), new THREE.LineBasicMaterial({ color: 0x8792a0, transparent: true, opacity: 0.5 }));
     group.scene.add(edges);
   } else {
-    const z = data.truth.position[0][2];
+    const z = track.position[0][2];
     data.outlines.forEach((points) => group.scene.add(line(points.map((p) => [p[0], p[1], z]), COLOR.wall)));
   }
   // A grid of 1, 2 or 5 times a power of ten says how large everything is.
@@ -160,8 +161,8 @@
   scale.className = "scale";
   scale.textContent = "grid " + mesh + " m";
   stage.appendChild(scale);
-  group.truth.add(line(data.truth.position, COLOR.truth));
-  group.truth.add(sphere(data.bs, size / 90, COLOR.bs, 1));
+  if (data.truth) group.truth.add(line(data.truth.position, COLOR.truth));
+  group.scene.add(sphere(data.bs, size / 90, COLOR.bs, 1));
   data.landmarks.filter((l) => l.kind === 2).forEach((l) => group.truth.add(sphere(l.position, size / 260, COLOR.truth, 0.7)));
 
   function render(step) {
@@ -170,12 +171,13 @@
     tags.forEach(([element]) => element.remove());
     tags = [];
     tag(data.bs, "base station", "#a84300");
-    if (state.show.truth && step > 0) tag(data.truth.position[0], "start");
-    tag(data.truth.position[step], step === steps - 1 ? "receiver, at the end" : "receiver");
-    const here = data.truth.position[step];
-    group.now.add(sphere(here, size / 140, COLOR.truth, 1));
-    const heading = data.truth.heading[step];
-    group.now.add(line([here, [here[0] + Math.cos(heading) * size / 25, here[1] + Math.sin(heading) * size / 25, here[2]]], COLOR.truth));
+    const shown = data.truth || filter;
+    if (step > 0) tag(shown.position[0], "start");
+    tag(shown.position[step], step === steps - 1 ? "receiver, at the end" : "receiver");
+    const here = shown.position[step], own = data.truth ? COLOR.truth : COLOR.estimate;
+    if (data.truth) group.now.add(sphere(here, size / 140, COLOR.truth, 1));
+    const heading = shown.heading[step];
+    group.now.add(line([here, [here[0] + Math.cos(heading) * size / 25, here[1] + Math.sin(heading) * size / 25, here[2]]], own));
     const rays = data.rays[step] || [];
     const seen = new Set(rays.map((ray) => ray[0]));
     rays.forEach((ray) => group.rays.add(line(ray[1], COLOR.ray)));
@@ -224,8 +226,9 @@
     let out = "step " + (step + 1) + " of " + steps + " · " + data.time[step].toFixed(1) + " s";
     if (data.rays.length) out += " · " + count + " true paths";
     if (filter) {
-      const p = filter.position[step], t = data.truth.position[step];
-      out += " · error " + Math.hypot(p[0] - t[0], p[1] - t[1]).toFixed(3) + " m";
+      const p = filter.position[step], t = data.truth && data.truth.position[step];
+      if (t) out += " · error " + Math.hypot(p[0] - t[0], p[1] - t[1]).toFixed(3) + " m";
+      else out += " · says of its position ± " + Math.hypot(...filter.factor[step]).toFixed(3) + " m";
       const tally = {};
       filter.map[step].forEach((row) => (tally[row[3]] = (tally[row[3]] || 0) + 1));
       out += " · map: " + (Object.keys(tally).map((k) => tally[k] + " " + KIND[k] + (tally[k] > 1 ? "s" : "")).join(", ") || "empty");
@@ -251,7 +254,7 @@
     slider.value = state.step;
     render(state.step);
     camera.updateMatrixWorld();
-    const seen = new THREE.Vector3(...data.truth.position[state.step]).project(camera); // within ±1: in the picture
+    const seen = new THREE.Vector3(...track.position[state.step]).project(camera); // within ±1: in the picture
     stage.dataset.receiver = seen.x.toFixed(3) + " " + seen.y.toFixed(3);
   }
   slider.max = steps - 1;
