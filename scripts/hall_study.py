@@ -26,7 +26,12 @@ def main() -> None:
     for name in options.filters:
         chosen = FILTERS[name](**({"noise": options.noise} if name == "batch" else {}))
         runs = Parallel(n_jobs=options.jobs)(delayed(judged)(seed, chosen) for seed in seeds)
-        print(name, summarize(list(runs)))
+        for seed, r in zip(seeds, runs, strict=True):
+            if r.lost or r.said:
+                print(
+                    f"  seed {seed}, {'lost' if r.lost else 'suspected'}: {r.failure or r.said or 'nothing was said'}"
+                )
+        print(name, summarize(list(runs)), flush=True)
 
 
 if __name__ == "__main__":

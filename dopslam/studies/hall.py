@@ -38,12 +38,16 @@ class Run:
     squared, bound : (K,) m²; squared error of the position and its squared bound
     nees : (K,)
     failure : str; empty unless the filter raised
+    said : str; why the receiver counts as lost without the truth, empty if nothing speaks for it
+    restarted : str; from where the filter was started anew
     """
 
     squared: Array
     bound: Array
     nees: Array
     failure: str = ""
+    said: str = ""
+    restarted: str = ""
 
     @property
     def lost(self) -> bool:
@@ -108,7 +112,14 @@ def judged(seed: int, chosen: Filter, steps: int = 45) -> Run:
         nothing = np.full(steps, np.nan)
         return Run(nothing, bound, nothing, f"seed {seed}: {error}")
     error = metrics.state_errors(history.mean[:, :4], hall.track.state)
-    return Run(np.sum(error[:, :2] ** 2, axis=1), bound, metrics.nees(error, history.covariance[:, :4, :4]))
+    return Run(
+        np.sum(error[:, :2] ** 2, axis=1),
+        bound,
+        metrics.nees(error, history.covariance[:, :4, :4]),
+        "",
+        history.lost,
+        history.restarted,
+    )
 
 
 def summarize(runs: list[Run]) -> dict[str, Any]:
@@ -117,6 +128,9 @@ def summarize(runs: list[Run]) -> dict[str, Any]:
     return {
         "runs": len(runs),
         "lost": len(runs) - len(good),
+        "of_these_named": sum(r.lost and bool(r.said or r.failure) for r in runs),
+        "good_ones_suspected": sum(bool(r.said) for r in good),
+        "restarted": sum(bool(r.restarted) for r in runs),
         "position_rmse_m": float(np.sqrt(np.mean([r.squared for r in good]))) if good else None,
         "rmse_over_bound": float(np.sqrt(np.mean([r.squared for r in good]) / np.mean([r.bound for r in good])))
         if good
