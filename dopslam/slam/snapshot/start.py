@@ -147,9 +147,10 @@ def start(
     Raises
     ------
     FilterError
-        If no scan tells where the receiver is.
+        If no scan tells where the receiver is, or none can.
     """
     search = search or Search()
+    _refuse_turnable(scans, anchors)
     planar = unmeasured.planar(np.einsum("nii->ni", scans.covariance)) if planar is None else planar
     n = motion.dimension
     mean, covariance = prior if prior is not None else (np.zeros(n), 100.0 * np.eye(n))
@@ -169,6 +170,27 @@ def start(
     whole[:4, :4] = alone
     best = int(used[np.argmax(joined.margin[used])])
     return Start(whole_mean, whole, best, joined)
+
+
+OPEN = {
+    1: ("arrival", "the receiver's heading may be anything"),
+    3: ("departure", "the whole world may be turned about the base station"),
+}
+"""What is left open where no azimuth of an end was measured, by its column."""
+
+
+def _refuse_turnable(scans: Scans, anchors: Array) -> None:
+    """With one base station a start from the scans alone needs the azimuths of both ends."""
+    variance = np.einsum("nii->ni", scans.covariance)
+    if not len(variance) or len(np.unique(np.atleast_2d(anchors), axis=0)) > 1:
+        return
+    for column, (end, open_) in OPEN.items():
+        if (variance[:, column] > unmeasured.UNSEEN[column]).all():
+            raise FilterError(
+                f"snapshot start: no azimuth of {end} was measured, and without one {open_}: nothing tells where the receiver "
+                'starts; give track.start and track.start_std and set filter.start = "prior" (from a start in a frame of your '
+                "own track and map come out in that frame), or measure azimuths at both ends"
+            )
 
 
 def passing(scans: Scans, search: Search) -> Array:

@@ -1,13 +1,18 @@
 """Modes of successive scans joined: by enumeration, over gaps, and the smoother against the dense inverse."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dopslam.errors import FilterError
 from dopslam.models.motion import CoordinatedTurn, propagate
+from dopslam.models.unmeasured import UNSEEN
+from dopslam.pipeline.problem import told
 from dopslam.simulate.world import section_v, simulate
+from dopslam.slam.filter import run
+from dopslam.slam.pmb.filters import Joint
 from dopslam.slam.snapshot.chain import _log_normal, chain
 from dopslam.slam.snapshot.locate import Modes, no_modes
 from dopslam.slam.snapshot.start import start, walk_of
@@ -106,3 +111,31 @@ def test_paper_a_is_started_from_nothing():
     square = np.einsum("ki,kij,kj->k", error, np.linalg.inv(found.chain.covariance), error)
     assert square.mean() < 20
     assert found.chain.chosen[found.best] >= 0
+
+
+def without(scans, column):
+    """The same without a quantity."""
+    covariance = scans.covariance.copy()
+    covariance[:, column, :] = covariance[:, :, column] = 0.0
+    covariance[:, column, column] = 4 * UNSEEN[column]
+    return replace(scans, covariance=covariance)
+
+
+@pytest.mark.parametrize(("column", "end"), [(1, "arrival"), (3, "departure")])
+def test_a_start_from_the_scans_needs_the_azimuths_of_both_ends(column, end):
+    world = section_v(steps=4)
+    _, scans = simulate(world, 1, 0)
+    with pytest.raises(FilterError, match=f"no azimuth of {end} was measured.*track.start"):
+        start(without(scans, column), world.motion, world.bs, world.height)
+
+
+def test_without_departures_a_turned_start_gives_the_turned_track():
+    """Why that is so: from delays and arrivals alone every turn about the base station is as likely."""
+    world, turn = section_v(steps=12), 0.7
+    _, scans = simulate(world, 1, 0)
+    scans, about = without(scans, 3), np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    mean = np.array(world.prior_mean)
+    turned = np.concatenate([world.bs[:2] + about @ (mean[:2] - world.bs[:2]), [mean[2] + turn, mean[3]]])
+    problem = replace(told(world), covariance=np.diag([0.3, 0.3, 0.01, 0.3]) ** 2)
+    one, other = (run(replace(problem, mean=m), scans, Joint())[0].mean[:, :2] - world.bs[:2] for m in (mean, turned))
+    np.testing.assert_allclose(other, one @ about.T, atol=0.05)
