@@ -38,6 +38,7 @@ from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
 from .split import split
+from .veiled import hidden, without_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +217,11 @@ class Nomp:
                 spare = residual = self._search.without(filtered, weighted_blocks(model, lin.blocks), lin.gain, spare)
             found, statistic = self._candidates(data, residual, lin, variance, efforts[0])
             endless = lin is not None and len(lin.gain) >= due and int(np.sum(statistic > self.level)) >= SEVERAL
-            found, statistic = self._credible(data, lin, variance, found, statistic)
+            raw, (found, statistic) = statistic, self._credible(data, lin, variance, found, statistic)
+            if lin is not None and hidden(model, raw, statistic, self.level):
+                rest = without_errors(self._search, Floor(data, lin, variance), filtered, self.level)
+                again = self._candidates(data, rest, lin, variance, efforts[0])
+                found, statistic = self._credible(data, lin, variance, *again)
             if endless and lin is not None:
                 due *= 2
                 noise = heard(model, white, lin, noise)
@@ -266,7 +271,9 @@ class Nomp:
             grids = self._search.arrivals, self._search.departures
             outside = beyond(floor, found.take([0]), statistic[0] * variance, *limits, grids)
             if outside is not None:
-                return outside, statistic[:1]
+                worth = statistic[:1] / floor.over(outside, statistic[:1])
+                if worth[0] > self.level:
+                    return outside, worth
         strong = np.flatnonzero(statistic > self.level)
         statistic = statistic.copy()
         statistic[strong] /= floor.over(found.take(strong), statistic[strong])

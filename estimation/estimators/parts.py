@@ -28,7 +28,9 @@ class Part:
         wrong.
         """
         turned, weight = samples * strong.conj(), np.abs(strong) ** 2
-        real, imag, norm = (np.bincount(self.number, part, self.size) for part in (turned.real, turned.imag, weight))
+        real, imag, norm = (
+            np.bincount(self.number, part, self.size) for part in (np.real(turned), np.imag(turned), weight)
+        )
         return (real + 1j * imag) / np.sqrt(np.maximum(norm, 1e-300))
 
 

@@ -155,6 +155,20 @@ def test_a_fast_path_is_found_in_its_direction_where_beams_or_combiners_turn_it_
     assert associate(model, found, paths, 1.0).detected.all() and len(found) == len(paths)
 
 
+@pytest.mark.parametrize(("seed", "name"), [(0, "gains"), (6, "strong phase noise")])
+def test_weak_paths_are_found_behind_the_errors_of_strong_ones(seed, name):
+    """Errors fill the list of candidates: two of five paths were missed, or three ghosts believed for being too fast."""
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(seed,)))
+    model = random_link(rng)
+    paths = random_paths(model, rng)
+    lead = at_snr(model, paths.take([0]), [1e5])
+    paths = replace(paths, gain=np.r_[lead.gain, paths.gain[1:]])
+    nomp = Nomp(model, max_speed=SEARCHED, threshold=27.0)
+    found = nomp.run(OFF[name].signal(model, paths, 1.0, rng, seed))
+    match = associate(model, found, paths, 1.0, gate=400)
+    assert match.detected.all() and len(found) <= len(paths) + 1
+
+
 def test_errors_of_elements_lie_in_the_part_of_their_end():
     """Behind combiners and beams, too: a few dimensions of the mode, the same in every sweep."""
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
