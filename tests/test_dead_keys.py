@@ -91,7 +91,7 @@ UNUSUAL = ["filter.motion=unknown", "source.traced.added_noise=model"]
 CASES = [
     BASE["ring_road"],
     override(BASE["ring_road"], ["source.kind=model"]),
-    override(BASE["ring_road"], UNUSUAL),
+    override(BASE["ring_road"], [*UNUSUAL, "source.traced.impairments.gain_db=0.5"]),
     override(BASE["ring_road"], ["filter.motion=walk"]),
     BASE["pedestrian"],
     override(BASE["pedestrian"], ["belief.engine=stacked"]),

@@ -1,5 +1,7 @@
 """Traced paths as signal parameters: frames, clock bias and link budget against independent formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from dopslam.config.scenario import load
 from dopslam.errors import ConfigError
 from dopslam.models.measurement import SP, VA, measure
 from dopslam.pipeline import link as radio
+from dopslam.pipeline.stages import synthesize_snapshot
 from dopslam.raytracing.images import reflected_paths, scattered_paths, zenith_azimuth
 from dopslam.records import SPEED_OF_LIGHT, Paths, Track
 from estimation import PathTable, snr
@@ -122,3 +125,37 @@ def test_a_staggered_comb_moves_while_a_beam_is_held():
 def test_a_stagger_that_cannot_be_is_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
         load("ring_road", settings)
+
+
+def test_impairments_are_keys_that_only_the_signal_knows():
+    """The same elements in every snapshot, phases new in each; without them the signal is the same to the bit."""
+    quiet = ["source.traced.noise_figure_db=-50"]
+    geometry = reflected_paths(
+        np.array([0.0, 0.0, 40.0]),
+        np.array([[31.0, -52.0, 0.0]] * 2),
+        np.array([[[1.0, 0.0, 0.0]]]),
+        np.array([[100.0]]),
+    )
+    velocity = np.tile([20.0, 0.0, 0.0], (2, 1))
+
+    def snapshots(*settings):
+        scenario = load("ring_road", [*quiet, *(f"source.traced.impairments.{s}" for s in settings)])
+        one = one_step(geometry, velocity, scenario.radio.carrier_frequency)
+        both = replace(one, offsets=np.array([0, 1, 2])) if len(one.tau) == 2 else one
+        track = Track(np.arange(2.0), np.zeros((2, 3)), np.zeros(2), velocity, np.zeros(2), np.zeros(4))
+        return [synthesize_snapshot(scenario, track, both, step, seed=3) for step in range(2)]
+
+    clean, off = snapshots(), snapshots("bits=0")
+    assert all(np.array_equal(a, b) for a, b in zip(clean, off, strict=True))
+    ratios = [b / a for a, b in zip(clean, snapshots("gain_db=0.5", "phase_deg=5"), strict=True)]
+    strong = [np.abs(a) > 0.5 * np.abs(a).max() for a in clean]
+    both = strong[0] & strong[1]
+    assert np.median(np.abs(ratios[0][both] - 1)) > 0.04 and np.median(np.abs(ratios[0] - ratios[1])[both]) < 0.01
+    turned = [np.angle(b / a) for a, b in zip(clean, snapshots("phase_noise_deg=10"), strict=True)]
+    steps = [
+        np.array([t[:, n][s[:, n]].mean() for n in range(128) if s[:, n].any()])
+        for t, s in zip(turned, strong, strict=True)
+    ]
+    assert 0.1 < np.std(steps[0]) < 0.25 and not np.allclose(steps[0][:5], steps[1][:5], atol=0.02)
+    other = [snapshots("gain_db=0.5", f"seed={seed}")[0] for seed in (1, 2)]
+    assert not np.allclose(*other, rtol=1e-3, atol=0)

@@ -178,6 +178,21 @@ class SourceModel(Frozen):
     virtual_anchors: tuple[Vector3, ...] = ()  # m; without a trace the walls have to be named by their VAs
 
 
+class Hardware(Frozen):
+    """What real hardware does to the synthesized signal, and the estimator is not told; 0 switches each off."""
+
+    position_wavelengths: Annotated[float, Field(ge=0, le=1)] = 0.0  # root mean square, of elements along each axis
+    gain_db: Annotated[float, Field(ge=0, le=20)] = 0.0  # root mean square, of elements
+    phase_deg: Annotated[float, Field(ge=0, le=180)] = 0.0  # likewise
+    phase_noise_deg: Annotated[float, Field(ge=0, le=180)] = 0.0  # of a common phase, new in every symbol
+    phase_walk_deg: Annotated[float, Field(ge=0, le=180)] = 0.0  # of its steps from symbol to symbol
+    frequency_offset: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0  # Hz; adds λ times itself to radial velocities
+    iq_gain_db: Annotated[float, Field(ge=-20, le=20)] = 0.0  # of the receiver's two branches
+    iq_phase_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0  # likewise
+    bits: Annotated[int, Field(ge=0, le=24)] = 0  # of the converters; 0: none
+    seed: Seed = 0  # of the errors of the elements, the same in every snapshot
+
+
 class SourceTraced(Frozen):
     """Detections estimated from the synthesized signal of a traced scene."""
 
@@ -185,6 +200,7 @@ class SourceTraced(Frozen):
     noise_figure_db: Annotated[float, Field(ge=-50, le=200)] = 7.0
     temperature: Annotated[float, Field(ge=1e-3, le=1e6)] = 290.0  # K
     added_noise: Literal["none", "model"] = "none"  # "model": blur the detections by the R of [source.model]
+    impairments: Hardware = Hardware()
 
 
 class Source(Frozen):

@@ -19,6 +19,7 @@ from estimation import (
     Array,
     CosinePattern,
     DipolePattern,
+    Impairments,
     PathTable,
     SignalModel,
     Waveform,
@@ -122,6 +123,13 @@ def estimator(scenario: Scenario, model: SignalModel, threshold: float | None = 
         dense_multipath=config.dense_multipath,
         threshold=threshold,
     )
+
+
+def impairments(scenario: Scenario) -> Impairments | None:
+    """What the hardware does to the signal, or None if it is as the model has it."""
+    said = scenario.source.traced.impairments.model_dump(exclude={"seed", "position_wavelengths"})
+    made = Impairments(position=scenario.source.traced.impairments.position_wavelengths, **said)
+    return None if made == Impairments() else made
 
 
 def noise_variance(scenario: Scenario) -> float:

@@ -96,6 +96,11 @@ def _link(scenario: Scenario) -> Any:
     return link.signal_model(scenario), amplitude, noise, station.position, station.yaw_deg
 
 
+def _hardware(scenario: Scenario) -> Any:
+    made = link.impairments(scenario)
+    return made and (made, scenario.source.traced.impairments.seed)
+
+
 def _told(scenario: Scenario, names: Sequence[str]) -> Any:
     noise = scenario.source.kind == "traced" and scenario.source.traced.added_noise == "model"
     added = build.measurement_std(scenario) if noise else None
@@ -113,8 +118,8 @@ def _trace(scenario: Scenario, names: Sequence[str]) -> Any:
 _HANDED: dict[str, Callable[[Scenario, Sequence[str]], Any]] = {
     "trace": _trace,
     "simulate": lambda s, _: (build.situation(s), build.model_landmarks(s), s.track),
-    "synthesize": lambda s, _: _link(s),
-    "estimate": lambda s, _: (_link(s), s.estimator),
+    "synthesize": lambda s, _: (_link(s), _hardware(s)),
+    "estimate": lambda s, _: (_link(s), s.estimator, _hardware(s)),
     "slam": lambda s, names: _told(s, names),
     "bound": lambda s, names: (_told(s, names)[0], _link(s), s.filter.intensity_sr),
     "evaluate": lambda s, _: (s.evaluation, s.filter.report_existence, s.filter.density, _link(s), s.name, s.title),
@@ -127,6 +132,6 @@ _HANDED: dict[str, Callable[[Scenario, Sequence[str]], Any]] = {
         s.source.model,
         s.scatter_point,
     ),
-    "dataset": lambda s, names: (s.dataset, _trace(s, names), _link(s), s.estimator),
+    "dataset": lambda s, names: (s.dataset, _trace(s, names), _link(s), s.estimator, _hardware(s)),
     "montecarlo": lambda s, names: (build.situation(s), _told(s, names)[:2], s.evaluation, s.filter.report_existence),
 }

@@ -14,6 +14,7 @@ class Component(IntEnum):
     SCATTER = 1
     NOISE = 2
     DETECTIONS = 3
+    HARDWARE = 4
 
 
 def generator(seed: int, component: Component, step: int = 0) -> np.random.Generator:

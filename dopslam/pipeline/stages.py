@@ -135,9 +135,14 @@ def synthesize_snapshot(
     """
     from estimation import synthesize
 
-    rng = generator(seed, Component.NOISE, step if number is None else number)
+    number = step if number is None else number
+    rng = generator(seed, Component.NOISE, number)
     table = radio.path_table(scenario, track, paths, step)
-    return synthesize(_model(scenario.to_toml()), table, radio.noise_variance(scenario), rng)
+    model, noise, hardware = _model(scenario.to_toml()), radio.noise_variance(scenario), radio.impairments(scenario)
+    if hardware is None:
+        return synthesize(model, table, noise, rng)
+    own = scenario.source.traced.impairments.seed
+    return hardware.signal(model, table, noise, rng, own, generator(seed, Component.HARDWARE, number))
 
 
 def synthesize(

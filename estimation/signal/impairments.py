@@ -70,12 +70,15 @@ class Impairments:
         noise_variance: float,
         rng: np.random.Generator,
         seed: int | np.random.SeedSequence = 0,
+        phases: np.random.Generator | None = None,
     ) -> np.typing.NDArray[np.complex64]:
         """One received burst of an impaired link; ``seed`` draws its errors, ``rng`` its noise.
 
-        With combiners the common phase and the converters act on their outputs.
+        With combiners the common phase and the converters act on their outputs. ``phases`` draws what is new in every burst
+        where several have the same hardware; default: ``seed`` too.
         """
-        elements, phases = (np.random.default_rng(s) for s in np.random.SeedSequence(_entropy(seed)).spawn(2))
+        elements, own = (np.random.default_rng(s) for s in np.random.SeedSequence(_entropy(seed)).spawn(2))
+        phases = own if phases is None else phases
         built = self.hardware(model, elements)
         noise_free = synthesize(built, paths)
         times = model.schedule.times
