@@ -58,4 +58,7 @@ if __name__ == "__main__":
 #     dopslam montecarlo ring_road --filter joint,docs/tutorials/4_my_filter.py:Earliest
 #     dopslam benchmark make suite
 #     dopslam benchmark run suite --filter docs/tutorials/4_my_filter.py:Earliest
-#     dopslam score answers/Earliest.csv --suite suite
+#     dopslam score answers/Earliest.csv --suite suite --json Earliest.json
+# A board of one's own from the result files of answers to one suite:
+#     dopslam benchmark run suite --filter joint && dopslam score answers/joint.csv --suite suite --json joint.json
+#     python scripts/board.py Earliest.json joint.json

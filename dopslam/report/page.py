@@ -142,7 +142,7 @@ def _cards(summary: Mapping) -> str:
             "walls found",
             "" if off is None else f"{length_text(off)} off",
         ),
-        (f"{v['sp_found']} of {v['sp_total']}", "small objects found", "scatter points"),
+        *([(f"{v['sp_found']} of {v['sp_total']}", "small objects found", "scatter points")] if v["sp_total"] else []),
         (trust, "its own error bars", f"NEES {nees:.1f}, 4 expected"),
     ]
     return '<div class="cards">' + "".join(card(*one) for one in cards) + "</div>"
