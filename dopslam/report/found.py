@@ -63,7 +63,7 @@ def found_page(
         [_way(replay, main), f"Filter {main}."],
         [
             f"<section><h2>What it found</h2>{alarm}{_cards(history, walls, threshold)}{lead}</section>",
-            replay_section(LEGEND, LAYERS),
+            replay_section(replay, LEGEND, LAYERS),
             _walls_section(walls),
             f'<section><h2>What every filter says</h2><div class="scroll">{table_of(rows)}</div></section>',
             f'<section><h2>Figures</h2><div class="figures">{"".join(svg(n, f) for n, f in figures.items())}</div></section>',

@@ -54,7 +54,7 @@ def report_page(
         _subtitle(summary, replay),
         [
             _lead(summary),
-            replay_section(LEGEND, LAYERS),
+            replay_section(replay, LEGEND, LAYERS),
             _walls_section(summary, replay),
             f'<section><h2>Errors beside their bounds</h2><div class="scroll">{table_of(table)}</div>{_reading(summary)}</section>',
             f'<section><h2>Figures</h2><div class="figures">{figure_list}</div></section>',
@@ -178,11 +178,12 @@ def _lead(summary: Mapping) -> str:
     return f"<section><h2>What came out</h2>{alarm}{body}{anew}</section>"
 
 
-def replay_section(legend_of: Sequence[tuple[str, str]], layers: Sequence[tuple[str, str]]) -> str:
+def replay_section(replay: Mapping, legend_of: Sequence[tuple[str, str]], layers: Sequence[tuple[str, str]]) -> str:
     """The replay with its slider, what can be hidden in it (key, label), and what its colors mean."""
     boxes = "".join(
         f'<label><input type="checkbox" data-layer="{key}" checked> {label}</label>' for key, label in layers
     )
+    note = f'<p class="note">{escape(replay["note"])}</p>' if replay["note"] else ""
     legend = "".join(f'<li><i style="background:{color}"></i>{label}</li>' for color, label in legend_of)
     return (
         '<section><h2>Replay</h2><div id="replay-stage"></div>'
@@ -191,7 +192,7 @@ def replay_section(legend_of: Sequence[tuple[str, str]], layers: Sequence[tuple[
         '<p id="replay-readout"></p>'
         f'<div class="controls"><label>filter <select id="replay-filter"></select></label>'
         '<label class="wide">show uncertainty larger <input id="replay-enlarge" class="small" type="range" min="0" max="2.5" step="0.1" '
-        f'value="0"></label>{boxes}</div><ul class="legend">{legend}</ul></section>'
+        f'value="0"></label>{boxes}</div><ul class="legend">{legend}</ul>{note}</section>'
     )
 
 

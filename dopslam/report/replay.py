@@ -48,9 +48,12 @@ def replay(
     """
     base_station = landmarks.position[landmarks.kind == Kind.BS][0]
     moments = time if track is None else track.time
+    note = ""
     if triangles is not None and len(triangles) > LARGEST_MESH:
+        note = f"The scene has {len(triangles):,} triangles, too many for a page: its outlines are shown."
         triangles = None
     return {
+        "note": note,
         "bs": _round(base_station),
         "time": [] if moments is None else _round(moments),
         "truth": None if track is None else {"position": _round(track.position), "heading": _round(track.heading, 4)},

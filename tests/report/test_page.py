@@ -106,6 +106,19 @@ def test_lengths_are_said_as_people_say_them(meters, text):
     assert length_text(meters) == text
 
 
+def test_a_scene_too_large_for_a_page_says_so(page, monkeypatch):
+    import numpy as np
+
+    from dopslam.report import replay
+    from dopslam.report.page import replay_section
+
+    track, landmarks, *_ = stages.read_truth(page.with_name("dataset.h5"))
+    monkeypatch.setattr(replay, "LARGEST_MESH", 3)
+    small, large = (replay.replay(track, landmarks, None, None, {}, np.zeros((n, 3, 3))) for n in (3, 4))
+    assert small["mesh"] and not small["note"] and large["mesh"] is None
+    assert "4 triangles, too many" in replay_section(large, (), ()) and "triangles" not in replay_section(small, (), ())
+
+
 def test_names_cannot_break_the_page():
     from dopslam.report.page import _embedded
 

@@ -31,9 +31,9 @@ NEAR = 1.0  # m
 SAME_TIME = 1e-3  # of a period
 
 FIGURES = {  # key → (title, digits) of what a split is summarized by
-    "position_rmse_m": ("position m", 3), "position_over_bound": ("× bound", 2), "heading_rmse_deg": ("heading °", 3),
-    "clock_bias_rmse_m": ("clock m", 3), "nees": ("NEES", 1), "rpe_m": ("RPE m", 3), "gospa_va_m": ("GOSPA VA m", 2),
-    "gospa_sp_m": ("GOSPA SP m", 2), "wall_distance_m": ("walls m", 3),
+    "position_rmse_m": ("position m", 4), "position_over_bound": ("× bound", 2), "heading_rmse_deg": ("heading °", 3),
+    "clock_bias_rmse_m": ("clock m", 4), "nees": ("NEES", 1), "rpe_m": ("RPE m", 4), "gospa_va_m": ("GOSPA VA m", 2),
+    "gospa_sp_m": ("GOSPA SP m", 2), "wall_distance_m": ("walls m", 4),
 }  # fmt: skip
 
 
