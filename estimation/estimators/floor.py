@@ -130,6 +130,27 @@ class Floor:
                 share[mode] = (energy - free) / strength
         return share
 
+    def spread(self, errors: Float) -> Float:
+        """(6,) error per dimension of the mode, or the part of it, that tells each parameter, from those (modes,) of
+        :meth:`errors`: how far it moves a path.
+        """
+        model, known, share = self.data.model, self.known, np.zeros(6)
+        for mode, error in zip(model.bands[0].modes, errors, strict=True):
+            for parameter in mode.parameters:
+                share[parameter] = max(share[parameter], error / max(mode.size - 2, 1))
+        if known is None or not len(errors) or model.subbands > 1 or model.weight is not None or not self._parts:
+            return share
+        strongest = int(np.argmax(known.drop))
+        strength = known.drop[strongest] / self.variance
+        fiber, own = self._fiber(strongest, 1), known.blocks[0][1][strongest, 0]
+        for part in self._parts:
+            energy = np.linalg.norm(part.sums(fiber, own)) ** 2 / self.variance
+            free = part.size - 2
+            if 2 * energy > chi2.isf(RATE, 2 * free):
+                for parameter in part.parameters:
+                    share[parameter] = max(share[parameter], (energy - free) / (free * strength))
+        return share
+
     def _contracted(self, unit, mode: int, number: int | None):
         data, last = flat(self.data.signal, self.data.model.bands[0]), len(unit) - 1
         if mode == last or number is None:

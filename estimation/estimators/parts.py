@@ -13,15 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signal.arrays import Complex
-from ..signal.modes import TimeMode
+from ..signal.modes import ARRIVAL, DEPARTURE, SPEED, TimeMode
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Dimensions in which a mode may be wrong: the ``number`` (n,) of that of each sample, and how many there are."""
+    """Dimensions in which a mode may be wrong: the ``number`` (n,) of that of each sample, how many there are, and the
+    ``parameters`` that such an error moves.
+    """
 
     number: np.typing.NDArray[np.intp]
     size: int
+    parameters: tuple[int, ...]
 
     def sums(self, samples: Complex, strong: Complex) -> Complex:
         """Samples (n,) in these dimensions (size,), at the noise of a sample, where a path of vector ``strong`` (n,) is
@@ -43,9 +46,14 @@ def parts_of(mode: TimeMode, fewest: int) -> list[Part]:
     port, symbol = np.tile(np.arange(mode.ports), symbols), np.repeat(np.arange(symbols), mode.ports)
     output = setting * mode.ports + port
     found: dict[int, Part] = {}
-    for together in (beam * (output.max() + 1) + output, beam, output, symbol):
+    for together, moved in (
+        (beam * (output.max() + 1) + output, ARRIVAL + DEPARTURE),
+        (beam, DEPARTURE),
+        (output, ARRIVAL),
+        (symbol, SPEED),
+    ):
         number = np.unique(together, return_inverse=True)[1]
         size = int(number.max()) + 1
         if fewest < size < len(number):
-            found.setdefault(size, Part(number, size))
+            found.setdefault(size, Part(number, size, tuple(p for p in moved if p in mode.parameters)))
     return list(found.values())

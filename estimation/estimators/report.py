@@ -117,15 +117,6 @@ def on_sphere(array: Manifold, view: View) -> Float:
     return inside[front] if front.any() else inside
 
 
-def spread_of(model: SignalModel, errors: Float) -> Float:
-    """(6,) error per dimension of the mode that tells each parameter, from those (modes,) of :meth:`~.floor.Floor.errors`."""
-    share = np.zeros(6)
-    for mode, error in zip(model.bands[0].modes, errors, strict=True):
-        for parameter in mode.parameters:
-            share[parameter] = error / max(mode.size - 2, 1)
-    return share
-
-
 def detections(
     estimator: Settings,
     data: Projector,
@@ -159,8 +150,9 @@ def detections(
     tangent = residue.inflated(tangent) + spread
     tangent = tangent * raised(model, hazes, geometry, noise_variance)[:, None, None]
     # A path's model error moves it as noise of that share of its energy would, spread over the mode it is in.
-    errors = Floor(data, lin, noise_variance).errors()
-    root = np.sqrt(1 + estimator.error_share * snr[:, None] + spread_of(model, errors) * snr[:, None])
+    floor = Floor(data, lin, noise_variance)
+    errors = floor.errors()
+    root = np.sqrt(1 + estimator.error_share * snr[:, None] + floor.spread(errors) * snr[:, None])
     tangent = tangent * root[:, :, None] * root[:, None]
     flags = np.where(merged, np.uint8(Flag.MERGED), np.uint8(0))
     flags |= np.uint8(Flag.LIMITED if limited else 0)
