@@ -5,6 +5,7 @@ A base station on the roof, four far walls, and objects on both sides of the str
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from dopslam.models.measurement import BS, SP, VA
 from dopslam.models.motion import CoordinatedTurn
+from dopslam.models.scans import Scans
+from dopslam.records import edges_of
 from dopslam.simulate.world import FixedNoise, Situation
 
 Array = NDArray[np.float64]
@@ -20,6 +23,7 @@ PERIOD, SPEED, HEIGHT = 0.2, 5.0, 1.5  # s, m/s, m
 SIDE, CORNER = 80.0, 10.0  # m, of the block and of the turn about its corners
 SEEN = 30.0  # m, from which an object is seen
 STD = np.array([0.05, 0.01, 0.01, 0.01, 0.01, 0.1])  # m, rad ×4, m/s
+COARSE = np.array([0.5, 0.02, 0.02, 0.2, 0.2, 0.1])  # likewise, of a loop that has to be closed
 WALKS = np.array([0.05, 0.05, 0.01, 0.02, 0.3, 0.15])  # of x, y, heading, bias, speed, turn rate a step
 START = np.array([0.1, 0.1, 0.005, 0.1, 0.3, 0.1])
 STATION = np.array([0.0, 0.0, 30.0])
@@ -69,3 +73,19 @@ def block(steps: int, objects: int, rng: np.random.Generator) -> tuple[Situation
         height=HEIGHT,
     )
     return world, states
+
+
+def coarse(world: Situation) -> Situation:
+    """The objects alone, as a receiver without the base station's bandwidth and array sees them: the track drifts between
+    objects that are seen again only a lap later."""
+    kept = (world.kind == BS) | (world.kind == SP)
+    noise = FixedNoise(COARSE, 0.9, SEEN)
+    return replace(world, kind=world.kind[kept], position=world.position[kept], noise=noise)
+
+
+def unsighted(scans: Scans) -> Scans:
+    """The scans of a receiver that never sees the base station itself."""
+    assert scans.label is not None
+    kept = scans.label != 0
+    rows = {name: getattr(scans, name)[kept] for name in ("z", "covariance", "anchor", "label")}
+    return replace(scans, **rows, offsets=edges_of(np.bincount(scans.step_of_row[kept], minlength=scans.steps)))
