@@ -16,6 +16,7 @@ from dopslam.simulate.world import FixedNoise, draw_scans, nominal_track, simula
 from dopslam.slam.pmb import ek_pmb
 from dopslam.slam.pmb.density import PMB, compile_model, initial_density
 from dopslam.slam.pmb.ek_pmb import FilterParameters, filter_scans
+from dopslam.slam.pmb.hypotheses import log_again
 
 pytestmark = pytest.mark.mc
 
@@ -212,6 +213,15 @@ def test_factorize_mends_rounding_and_nothing_else():
     np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, root, atol=1e-10)
     assert not factorize(np.array([[1.0, 2.0], [2.0, 1.0]]), 2)
     assert not factorize(np.full((2, 2), np.nan), 2)
+
+
+def test_a_second_reflection_leaves_where_it_left_before():
+    """Its departure is as likely as that of one that wanders by 0.2 rad, once it is established; others explain theirs."""
+    noise = np.diag([1e-4, 1e-4, 1e-4, 0.01, 0.04, 1e-4])
+    density = 1.0 / (2.0 * np.pi * np.sqrt((0.01 + 0.2**2) * (0.04 + 0.2**2)))
+    assert np.exp(log_again(noise, SR, 5.0)) == pytest.approx(density * 2.0 * np.pi**2)
+    assert log_again(noise, SR, 1.0) == log_again(noise, VA, 5.0) == 0.0
+    assert log_again(np.diag([1e-4, 1e-4, 1e-4, 1e4, 1e4, 1e-4]), SR, 5.0) == 0.0  # no departure measured
 
 
 def flagged(flags, snr, apart=0.0):

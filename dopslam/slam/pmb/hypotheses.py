@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from dopslam.compute.compiled import compiled, copy_matrix, inlined
 from dopslam.compute.linalg import factorize, solve_lower_vector
-from dopslam.models.kernels import SP, log_spreading, measured_rows, noise_entry, subtract
+from dopslam.models.kernels import (
+    FREE_AZIMUTH,
+    FREE_ELEVATION,
+    SP,
+    SR,
+    log_spreading,
+    measured_rows,
+    noise_entry,
+    subtract,
+)
 from dopslam.models.scans import CELL
 from dopslam.slam.association.clusters import k_best_of_clusters
 from dopslam.slam.pmb.birth import visible_share
@@ -27,6 +36,7 @@ from dopslam.slam.pmb.linear import innovation_covariance, linearize_block, proj
 Array = NDArray[np.float64]
 
 ESTABLISHED = 2.5  # detections from which a landmark is no false alarm (an average over associations: no whole number)
+DRIFT = 0.2  # rad, by which the departure of a second reflection may differ from where it left the scan before
 
 
 class Local(NamedTuple):
@@ -171,7 +181,8 @@ def local_hypotheses(density, n, scan, model):
                 log_density = constant + log_shape(distance, measured_rows(scan.covariance[p]), model.robust)
                 for i in range(m):
                     log_density -= math.log(factor[i, i])
-                log_detected[p, b] = log_prior + log_density
+                again = log_again(scan.covariance[p], kind, density.detections[b])
+                log_detected[p, b] = log_prior + log_density + again
     first = track_starts(density.track)
     tracks = first.shape[0] - 1
     log_missed = np.empty(tracks)
@@ -191,6 +202,20 @@ def local_hypotheses(density, n, scan, model):
                     total += math.exp(log_detected[p, b] - top)
                 log_ratio[p, t] = top + math.log(total) - log_missed[t]
     return Local(detection, log_detected, cell, np.zeros((count, tracks), dtype=np.bool_), first, log_missed, log_ratio)
+
+
+@compiled
+def log_again(noise, kind, detections):
+    """ln of how much likelier the departure of a second reflection is that has been seen before than that of any.
+
+    Its departure is not explained, but it is no other from scan to scan: it wanders by `DRIFT` at most. Were it any
+    direction each time, a wall or an object that happens to leave the base station alike (near the edge between two
+    surfaces, where both reflect) would take the path over, and stay in the map when it has gone.
+    """
+    if kind != SR or detections < ESTABLISHED:
+        return 0.0
+    azimuth, elevation = noise[3, 3] + DRIFT * DRIFT, noise[4, 4] + DRIFT * DRIFT
+    return 0.5 * math.log(max(1.0, FREE_AZIMUTH / azimuth)) + 0.5 * math.log(max(1.0, FREE_ELEVATION / elevation))
 
 
 @compiled

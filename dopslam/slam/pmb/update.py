@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dopslam.compute.compiled import compiled, copy_matrix, copy_vector, inlined
 from dopslam.models.kernels import VA, log_spreading, measured_rows
 from dopslam.slam.pmb.density import PMB, start_of
-from dopslam.slam.pmb.hypotheses import normalize
+from dopslam.slam.pmb.hypotheses import log_again, normalize
 from dopslam.slam.pmb.joint import joint_update, likeliest_block, workspace
 from dopslam.slam.pmb.newborn import give_birth, newborn_table
 from dopslam.slam.pmb.projection import cap_existence, drop_cross_covariances, moment_match
@@ -123,7 +123,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
             references[a, old + c] = scan.log_snr[p] + log_spreading(kinds[c], x, means[a], model.site)
             detections[a, old + c] = 1.0
         if model.reweight:
-            log_weight[a] += evidence - single_evidence(density, local, association)
+            log_weight[a] += evidence - single_evidence(density, local, scan, association)
         if log_weight[a] > best:
             best, distance, rows = log_weight[a], d, 0
             for p in range(count):
@@ -167,7 +167,7 @@ def update(density, n, local, scan, chosen, log_term, log_new, position, model):
 
 
 @compiled
-def single_evidence(density, local, association):
+def single_evidence(density, local, scan, association):
     """Σ ln N(z^p; ẑ, S) over the pairs of an association: what the evidence of the joint update replaces."""
     total = 0.0
     for p in range(association.shape[0]):
@@ -175,4 +175,5 @@ def single_evidence(density, local, association):
         if t >= 0:
             b = likeliest_block(local, p, t)
             total += local.log_detected[p, b] - math.log(density.weight[b] * local.detection[b])
+            total -= log_again(scan.covariance[p], density.kind[b], density.detections[b])
     return total
