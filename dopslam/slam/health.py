@@ -212,7 +212,10 @@ def judge(history: History, scans: Scans, station: Array, height: float) -> Verd
 def _why_blind(seen: Explained, steps: NDArray[np.int64], lost: NDArray[np.int64], scans: Scans) -> str:
     """What shows that these steps are not merely without a line of sight; empty if nothing does."""
     where = f"from step {lost[0]} to {lost[-1]} the base station is never where it should be"
-    if not seen.explained[lost].any() and seen.measured[lost].sum() > 2 * len(lost) * scans.clutter_count:
+    # False detections come at steps without any other too: the silent steps between have their share of what is expected.
+    span = int(lost[-1] - lost[0]) + 1
+    most = 2 * span * scans.clutter_count
+    if not seen.explained[lost].any() and seen.measured[lost].sum() > most + DEVIATIONS * np.sqrt(most):
         return f"{where}, nor is anything of the map"
     if seen.shifted[lost].mean() > ASTRAY:
         return f"{where}: right in direction, wrong in length"
@@ -220,7 +223,7 @@ def _why_blind(seen: Explained, steps: NDArray[np.int64], lost: NDArray[np.int64
         return f"{where}, and it would be farther than most paths are long"
     open_, sighted = seen.measured - seen.explained, steps[seen.sighted[steps]]
     usual = max(float(scans.clutter_count), float(open_[sighted].mean()) if len(sighted) >= FEWEST else 0.0)
-    expected = max(usual * len(lost) + NEWBORN * seen.fresh[lost].sum(), 1.0)
+    expected = max(usual * span + NEWBORN * seen.fresh[lost].sum(), 1.0)
     found, rows = int(open_[lost].sum()), int(seen.rows[lost].sum())
     if found > expected + DEVIATIONS * np.sqrt(expected):
         return f"{where}, and {found} detections are unexplained where {expected:.0f} are usual"

@@ -73,6 +73,16 @@ def test_a_state_that_is_no_number_is_named(ring):
     assert "no number from step 7" in divergence(replace(history, mean=mean), scans, situation.bs, situation.height)
 
 
+def test_false_detections_alone_say_nothing():
+    """A receiver that sees nothing but three false detections in ten snapshots goes by its motion, and is not lost."""
+    situation = section_v(steps=40)
+    dark = replace(situation, clutter_count=0.3, noise=replace(situation.noise, detection_probability=1e-6))
+    for seed in range(1000, 1006):
+        _, scans = simulate(dark, seed, 0)
+        assert scans.clutter_count == pytest.approx(0.3) and len(scans.z) > 5
+        assert divergence(filtered(dark, scans), scans, dark.bs, dark.height) == ""
+
+
 def test_a_run_without_detections_says_nothing(ring):
     situation, _, scans, _ = ring
     empty = scans.take([0]).take(slice(0, 0))
