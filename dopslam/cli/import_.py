@@ -95,7 +95,8 @@ def import_(
         records |= {"track": truth, "landmarks": build.model_landmarks(world)}
     dataset.write_records(out, records, world.to_toml(), 0)
     doubt = _doubt(found, records["base_stations"], world.receiver.height)
-    for remark in (*opened.remarks, *([doubt] if doubt else [])):
+    turned = None if truth is None else _turned(found, truth, records["base_stations"])
+    for remark in (*opened.remarks, *(text for text in (doubt, turned) if text)):
         Console(stderr=True, soft_wrap=True, markup=False).print(f"look: {remark}")
     hint = "" if opened.doppler else " --doppler-std none"
     Console(highlight=False, soft_wrap=True, markup=False).print(
@@ -131,6 +132,23 @@ def _doubt(found, stations, height: float) -> str | None:
         return check_conventions(found, stations, height).doubt
     except np.linalg.LinAlgError:  # advice only: what is wrong with the covariances a filter will say
         return None
+
+
+def _turned(found, truth, stations) -> str | None:
+    """Whether the departures along the true track speak for another orientation of the base station than the one that is told."""
+    import numpy as np
+
+    from dopslam.models.measurement import wrap
+    from dopslam.slam.orientation import yaw_of_track
+
+    yaw = yaw_of_track(found, truth.position, stations)
+    if yaw is None or not abs(wrap(yaw.value - stations.yaw[0])) > max(3 * yaw.std, np.deg2rad(0.2)):
+        return None
+    seen, told, std = np.degrees([yaw.value, stations.yaw[0], yaw.std])
+    return (
+        f"base_station.yaw_deg: along the true track the departures speak for {seen:.2f} ± {std:.2f}, told are {told:.2f}; "
+        f"--set base_station.yaw_deg={seen:.2f} if the track is in the base station's frame"
+    )
 
 
 def _told_by(period: float | None, world: Scenario, flags: list[str]) -> list[str]:
