@@ -79,7 +79,9 @@ def split(estimator: Fitter, data: Projector, lin: Linearization, found: Geometr
     near = found.take(np.flatnonzero(statistic > SIDE_LOBE * estimator.level))
     if not len(near):
         return None
-    lobes = [(lin.geometry, path, mode, path) for _, path, mode in side_lobes(data.model, near, lin)]
+    # Several candidates may be lobes of one path in one mode.
+    once = dict.fromkeys((path, mode) for _, path, mode in side_lobes(data.model, near, lin))
+    lobes = [(lin.geometry, path, mode, path) for path, mode in once]
     if statistic[0] > estimator.level:
         # Something is left that no further path explains.
         for other, path, mode in side_lobes(data.model, lin.geometry, lin):

@@ -51,10 +51,6 @@ def test_random_links_are_estimated_at_their_bounds():
 
 
 @pytest.mark.mc
-@pytest.mark.xfail(
-    reason="a swept link of few beams and many sweeps with elements off by 0.01 wavelengths still gives ghosts",
-    strict=True,
-)
 def test_wrong_models_of_random_links_make_no_ghosts():
     for name, row in wrong_model(6, seed=2000).items():
         assert row["ghosts_per_snapshot"] <= 1, name
