@@ -179,9 +179,10 @@ def study_text(result: dict) -> str:
                 f"{within['found']} of {within['of']} | {higher['found']} of {higher['of']} |"
             )
         gains = result[noise]["doppler_gain"]
-        lines += ["", "Position RMSE without over with Doppler, paired: " + "; ".join(
-            f"{name} {_with_interval(gain, 2)}" for name, gain in gains.items()
-        )]  # fmt: skip
+        if gains:
+            lines += ["", "Position RMSE without over with Doppler, paired: " + "; ".join(
+                f"{name} {_with_interval(gain, 2)}" for name, gain in gains.items()
+            )]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
