@@ -220,8 +220,9 @@ class Nomp:
             raw, (found, statistic) = statistic, self._credible(data, lin, variance, found, statistic)
             if lin is not None and hidden(model, raw, statistic, self.level):
                 rest = without_errors(self._search, Floor(data, lin, variance), filtered, self.level)
-                again = self._candidates(data, rest, lin, variance, efforts[0])
-                found, statistic = self._credible(data, lin, variance, *again)
+                again = self._credible(data, lin, variance, *self._candidates(data, rest, lin, variance, efforts[0]))
+                if again[1].max(initial=0.0) > self.level:  # else what is seen may be the lobes of a pair
+                    found, statistic = again
             if endless and lin is not None:
                 due *= 2
                 noise = heard(model, white, lin, noise)
