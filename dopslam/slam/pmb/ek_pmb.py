@@ -343,7 +343,7 @@ def run(
     bs: Array,
     parameters: FilterParameters | None = None,
     height: float = 0.0,
-    arrays=None,
+    arrays: tuple[Array, Array, Array, NDArray[np.int64], float, Array] | None = None,
 ) -> tuple[History, Diagnostics]:
     """Filter a whole run.
 
