@@ -27,7 +27,7 @@ from estimation import (
     unit_vectors,
     ura,
 )
-from estimation.estimators import clearing, report
+from estimation.estimators import report
 from estimation.estimators.projector import Projector
 from estimation.estimators.refine import information, linearize
 from estimation.evaluate import associate
@@ -150,7 +150,7 @@ def test_dense_multipath_is_whitened(link):
     assert false[0] >= 3 and false[1] == 0
 
 
-def test_squint_makes_ghosts_only_when_the_model_ignores_it(monkeypatch):
+def test_squint_makes_ghosts_only_when_the_model_ignores_it():
     narrow = SignalModel(comb(28e9, 6.25e6, 64), digital(4, 125e-6), ura(2, 16), ura(2, 4))
     wide = replace(narrow, subbands=8)
     path = PathTable([80e-9], [[0.6, 0.1]], [[0.95, 0.1]], [20.0], [1.0])
@@ -158,10 +158,7 @@ def test_squint_makes_ghosts_only_when_the_model_ignores_it(monkeypatch):
     path = at_snr(wide, path, [10**5.5])
     signal = synthesize(wide, path, 1.0, rng)
     ignorant = Nomp(narrow, threshold=26.0, **VIEWS)
-    # Close behind one another and alike but for delay they are a haze, as clusters are.
-    few = len(ignorant.run(signal))
-    monkeypatch.setattr(clearing, "gathered", lambda model, hazes, known, *_: ((), np.arange(len(known))))
-    assert few < len(ignorant.run(signal)) > 1
+    assert len(ignorant.run(signal)) > 1
     assert found_all(wide, Nomp(wide, threshold=26.0, **VIEWS).run(signal), path)
 
 
