@@ -14,7 +14,7 @@ from ..signal.model import SignalModel
 from ..signal.paths import Geometry
 from .colored import port_covariance
 from .floor import Floor
-from .haze import MOST, gathered, nowhere, smoldering
+from .haze import CROWD, MOST, WEAK, gathered, smoldering, swallowed
 from .noise import Noise
 from .projector import Bases, Projector
 from .refine import Linearization, linearize
@@ -49,11 +49,11 @@ def cleared(
     model, strong = nomp.model, np.flatnonzero(statistic > nomp.level)
     if lin is None or not len(strong) or len(noise.hazes) >= MOST or model.subbands > 1 or nomp.dense_multipath:
         return None
-    energy = statistic * noise.variance(lin)
-    if not noise.hazes and not nowhere(lin.drop, energy[strong]):
-        return None
     strong = strong[_own(coherence(model, found.take(strong)), statistic[strong])]
-    new, kept = gathered(model, noise.hazes, lin.geometry, lin.drop, found.take(strong), energy[strong])
+    if not noise.hazes and len(lin.gain) + len(strong) < CROWD[0]:
+        return None
+    energy, weak = statistic[strong] * noise.variance(lin), WEAK * nomp.level * noise.variance(lin)
+    new, kept = gathered(model, noise.hazes, lin.geometry, lin.drop, found.take(strong), energy, weak)
     if not new:
         return None
     paths = linearize(Projector(model, white, nomp._basis), lin.geometry.take(kept)) if len(kept) else None
@@ -77,10 +77,11 @@ def _own(overlap, statistic) -> list[int]:
 
 
 def standing_out(nomp: Searcher, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
-    """The paths without those that are the tips of weak clusters."""
+    """The paths without those that are the tips of weak clusters or do not stand out of a haze."""
     while lin is not None:
         variance = noise.variance(lin)
         gone = smoldering(Floor(data, lin, variance), lin, variance, nomp.level)
+        gone |= swallowed(nomp.model, noise.hazes, lin.geometry, lin.drop)
         if not gone.any():
             return lin
         rest = np.flatnonzero(~gone)

@@ -25,6 +25,7 @@ from .noise import Noise
 from .nomp import Nomp
 from .projector import Projector
 from .refine import linearize
+from .sound import pruned
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class Esprit(Nomp):
         if not self.refine:
             return report.detections(self, data, lin, noise.variance(lin))
         return self._reported(
-            data, self._pruned(data, self._eliminated(data, self._fit(data, lin, noise), noise), noise), noise
+            data, pruned(self, data, self._eliminated(data, self._fit(data, lin, noise), noise), noise), noise
         )
 
     def _subspace(self, signal, noise_variance: float | None) -> Geometry:

@@ -26,14 +26,13 @@ NEAR = 6.0
 """Delay bins between neighbors of a crowd."""
 ALIKE = 0.1
 """Squared coherence, over all modes but delay, from which on two are neighbors."""
-CROWD = 5
-"""Neighbors, known and new, that make a crowd."""
-FRESH = 2
-"""At least so many of them are new: a fit that explains all has none. The others are like them in energy."""
+CROWD = (4, 6)
+"""Neighbors of the same directions and speed that make a crowd, one of them new at least: among weak ones, and among others.
+Reflections of a room or corridor have up to five; a fit that explains all has none that is new."""
+SAME = 0.7
+"""Likewise what the core of a crowd has: a link cannot tell its members apart but by delay."""
 LIKE = 10.0
-"""Ratio of energies up to which they are alike: so many times the strongest candidate are what a fit gets nowhere with."""
-PATIENCE = 16
-"""Paths from which on it is asked whether the fit gets nowhere: a room may have as many."""
+"""Ratio of energies up to which two are alike; those of reflections fall from one to the next."""
 STANDS_OUT = 16.0
 """Multiple of the mean energy of the weaker ones from which on a member is a path. Energies of a cluster's cells are
 exponentially distributed about a profile, whose first bins are several times the mean."""
@@ -42,7 +41,7 @@ SKIRT = 3.0
 MARGIN = 2.0
 """Delay bins about its members that a haze takes up."""
 WEAK = 20.0
-"""Multiple of the threshold beyond which a path is not asked whether it smolders."""
+"""Multiple of the threshold up to which a path is weak, and asked whether it smolders."""
 BESIDE = (1.5, 7.5)
 """Delay bins either side of a path where a cluster shows; closer are what a merged pair leaves, and the path itself."""
 FEWEST = 24
@@ -107,16 +106,25 @@ def likeness(model: SignalModel, first: Geometry, second: Geometry) -> Float:
     return alike * (gap < NEAR)
 
 
-def nowhere(worth: Float, energy: Float) -> bool:
-    """Whether paths, of energies ``worth`` (P,), get a fit nowhere: half of them are like the strongest of the candidates
-    (C,) that it has still. Reflections come to an end, each weaker than the one before.
-    """
-    alike = int(np.sum(worth < LIKE * energy.max(initial=0.0)))
-    return len(worth) >= PATIENCE and 2 * alike >= len(worth)
+def swallowed(model: SignalModel, hazes: tuple[Haze, ...], paths: Geometry, strength: Float) -> np.ndarray:
+    """(P,) which paths, of energies ``strength``, do not stand out of the hazes that they are in or beside."""
+    lost = np.zeros(len(strength), bool)
+    for haze in hazes:
+        alike, gap = apart(model, paths, haze.members)
+        inside = np.any((alike > ALIKE) & (gap < NEAR), axis=1)
+        skirt = np.max(np.sqrt(alike) * np.exp(-gap / NEAR), axis=1)
+        lost |= strength < haze.level * np.where(inside, STANDS_OUT, SKIRT * skirt)
+    return lost
 
 
 def gathered(
-    model: SignalModel, hazes: tuple[Haze, ...], known: Geometry, worth: Float, found: Geometry, energy: Float
+    model: SignalModel,
+    hazes: tuple[Haze, ...],
+    known: Geometry,
+    worth: Float,
+    found: Geometry,
+    energy: Float,
+    weak: float,
 ) -> tuple[tuple[Haze, ...], np.ndarray]:
     """New hazes among known paths and what is found beside them, and which of the known paths (P,) remain.
 
@@ -125,22 +133,18 @@ def gathered(
     hazes : those there are
     known, worth : paths and their energies (P,)
     found, energy : candidates above the threshold and their energies (C,)
+    weak : energy below which one is weak
     """
     everyone, strength = known.joined(found), np.concatenate([worth, energy])
     count = len(known)
-    lost = np.zeros(len(strength), bool)
-    for haze in hazes:
-        alike, gap = apart(model, everyone, haze.members)
-        inside = np.any((alike > ALIKE) & (gap < NEAR), axis=1)
-        skirt = np.max(np.sqrt(alike) * np.exp(-gap / NEAR), axis=1)
-        lost |= strength < haze.level * np.where(inside, STANDS_OUT, SKIRT * skirt)
-    label = connected_components(likeness(model, everyone, everyone) > ALIKE, directed=False)[1]
-    for crowd in range(int(label.max()) + 1):
-        own = np.flatnonzero(label == crowd)
-        new = strength[own[own >= count]]
-        like = np.sum(strength[own[own < count]] < LIKE * new.max(initial=0.0))
-        if len(own) >= CROWD and len(new) >= FRESH and like >= CROWD - FRESH:
-            lost[own[_crowded(strength[own])]] = True
+    lost = swallowed(model, hazes, everyone, strength)
+    near = likeness(model, everyone, everyone)
+    label = connected_components(near > ALIKE, directed=False)[1]
+    core = (near > SAME) & (strength < LIKE * strength[:, None]) & (strength[:, None] < LIKE * strength)
+    core = (core.sum(axis=1) >= np.where(strength < weak, *CROWD)) & core[:, count:].any(axis=1)
+    for crowd in np.unique(label[core]):
+        own = np.flatnonzero(np.any(near[core & (label == crowd)] > ALIKE, axis=0))
+        lost[own[_crowded(strength[own])]] = True
     new = []
     for crowd in np.unique(label[lost]):
         own = np.flatnonzero(lost & (label == crowd))
@@ -152,8 +156,8 @@ def _crowded(strength: Float) -> np.ndarray:
     """Those of energies (n,) that are one crowd: from the weakest up, until one stands out of the mean of those before."""
     order = np.argsort(strength)
     mean = np.cumsum(strength[order]) / np.arange(1, len(order) + 1)
-    out = np.flatnonzero(strength[order][FRESH:] > STANDS_OUT * mean[FRESH - 1 : -1])
-    return order[: FRESH + out[0]] if len(out) else order
+    out = np.flatnonzero(strength[order][2:] > STANDS_OUT * mean[1:-1])
+    return order[: 2 + out[0]] if len(out) else order
 
 
 def smoldering(floor: Floor, lin: Linearization, variance: float, level: float) -> np.ndarray:

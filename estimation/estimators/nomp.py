@@ -25,7 +25,7 @@ from . import report
 from .beyond import beyond
 from .choice import accepted_of
 from .clearing import cleared, heard, standing_out
-from .clock import ENDLESS, Clock
+from .clock import Clock
 from .detect import SHARE, calibrated_volume, search_volume, threshold_for
 from .dmc import pilot_covariance
 from .floor import Floor
@@ -37,6 +37,7 @@ from .polish import novelty, separate_fit
 from .projector import Bases, Projector
 from .refine import Linearization, joint_fit, linearize
 from .search import Effort, StagedSearch, distinct
+from .sound import pruned, sounder
 from .split import split
 from .veiled import hidden, without_errors
 
@@ -205,8 +206,8 @@ class Nomp:
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
         efforts, spare = self._search.efforts, None
         due = np.inf if self.white or model.weight is not None or model.subbands > 1 else MANY
-        clock = Clock.of(self.max_seconds)
-        while efforts and not clock.over:
+        heights: list[float] = []
+        while efforts and not noise.clock.over:
             variance = noise.variance(lin)
             residual = filtered
             if lin is not None and model.subbands > 1:
@@ -233,9 +234,14 @@ class Nomp:
                 (data, lin, noise), spare = told, None
                 filtered = self._search.filtered(data)
                 continue
+            if lin is not None and len(lin.gain) < self.max_paths and not noise.hazes:
+                better = sounder(self, data, lin, noise, float(statistic.max(initial=0.0)), heights)
+                if better is not None:
+                    lin = better
+                    continue
             if lin is not None and len(lin.gain) >= self.max_paths:
                 break
-            accepted, more = accepted_of(self, found, statistic)
+            accepted, more = accepted_of(self, found, statistic, None if lin is None else lin.geometry)
             if len(accepted):
                 start = accepted if lin is None else lin.geometry.joined(accepted)
                 grown = self._eliminated(data, self._fit(data, start, noise), noise)
@@ -257,7 +263,7 @@ class Nomp:
         if limited and lin is not None and due < np.inf:
             noise = heard(model, white, lin, noise)
         if noise.ports is None:
-            lin = standing_out(self, data, self._pruned(data, lin, noise, clock), noise)
+            lin = standing_out(self, data, pruned(self, data, lin, noise), noise)
         return data, lin, replace(noise, limited=limited)
 
     def _credible(self, data: Projector, lin: Linearization | None, variance: float, found: Geometry, statistic):
@@ -358,34 +364,6 @@ class Nomp:
                 low = low[distinct(lin.coherence[np.ix_(low, low)], -worth[low], len(low), limit=0.2)]
             rest = np.delete(np.arange(len(worth)), low)
             lin = self._fit(data, lin.geometry.take(rest), noise) if len(rest) else None
-        return None
-
-    def _pruned(
-        self, data: Projector, lin: Linearization | None, noise: Noise, clock: Clock = ENDLESS
-    ) -> Linearization | None:
-        """Backward elimination against re-optimized models: a component's worth at fixed frequencies is not
-        enough for close pairs.
-        """
-        while lin is not None:
-            smaller = None if clock.over else self._smaller(data, lin, noise)
-            if smaller is None:
-                return lin
-            lin = self._eliminated(data, smaller, noise)
-        return None
-
-    def _smaller(self, data: Projector, lin: Linearization, noise: Noise) -> Linearization | None:
-        """A refitted model with one component less that loses less than the threshold, if there is one."""
-        variance = noise.variance(lin)
-        worth = lin.drop / variance
-        overlap = (lin.coherence - np.eye(len(worth))).max(axis=1, initial=0.0)
-        for index in np.argsort(worth):
-            # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
-            if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * self.level:
-                continue
-            rest = np.delete(np.arange(len(worth)), index)
-            without = self._fit(data, lin.geometry.take(rest), noise)
-            if lin.explained - without.explained < self.level * variance:
-                return without
         return None
 
 

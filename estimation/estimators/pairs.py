@@ -24,6 +24,7 @@ from ..signal.paths import Geometry
 from .cells import ring
 from .detect import expected_maxima, threshold_for
 from .floor import LARGEST, Floor
+from .haze import raised
 from .lobes import great_circle
 from .noise import Noise
 from .polish import less_known
@@ -46,6 +47,8 @@ REACH = 1.9
 pair at the nominal rate (720 of them on twelve random links)."""
 FARTHEST = 3.5
 """Paths farther apart than this in the metric are no pair of one lobe."""
+TRIED = 2
+"""Paths at most that a second one is fitted to before weaker paths are looked for."""
 NEIGHBOR = 0.1
 """Least coherence of paths whose own moves are reckoned with."""
 CROWD = 3
@@ -249,6 +252,70 @@ def steps_between(start: Geometry, end: Geometry) -> Float:
     ])  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A converged fit with a second path, the last one, about one of its paths.
+
+    Attributes
+    ----------
+    grown : the fit
+    gained : log-likelihood over the fit without it
+    apart : (6,) tangent steps between the two
+    lengths : (6, 6) metric of the path
+    stands : whether it is two paths rather than a single one and the errors of a model
+    """
+
+    grown: Linearization
+    gained: float
+    apart: Float
+    lengths: Float
+    stands: bool
+
+
+def thresholds(estimator: Fitter) -> tuple[float, float]:
+    """Gains in log-likelihood from which on a pair is two paths, and from which on it is a pair at all."""
+    rate = min(float(expected_maxima(estimator.level, estimator.volume, estimator.parameters)), 0.01)
+    return local_level(max(0.1 * rate, 1e-12), estimator.parameters), local_level(TOLD, estimator.parameters)
+
+
+def paired(estimator: Fitter, data: Projector, lin: Linearization, path: int, step: Float, noise: Noise) -> Pair | None:
+    """The fit with a second path ``step`` (6,) from a ``path``; None if it is no pair."""
+    model, variance = data.model, noise.variance(lin)
+    due, told = thresholds(estimator)
+    one = lin.geometry.take([path])
+    second = one.moved(step[None])
+    if gained_alone(data, lin, path, second, variance) < told:
+        return None
+    grown = estimator._fit(data, lin.geometry.joined(second), noise)
+    gained = (grown.explained - lin.explained) / variance
+    two = grown.geometry.take([path, -1])
+    lengths = metric(lin.gram[path, :, path], model.active)
+    apart = steps_between(two.take([0]), two.take([1]))[0] * model.active
+    if gained < told or apart @ lengths @ apart > FARTHEST**2:
+        return None
+    strength = lin.drop[path] / variance
+    needed = due * Floor(data, grown, variance).about(one) + estimator.error_share * strength
+    stands = gained > min(needed, max(LARGEST * strength, due))
+    stands = stands and separated(grown, path, apart, model.active, variance) > SEPARATE**2
+    return Pair(grown, gained, apart, lengths, stands)
+
+
+def nearest(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise, least: float) -> Linearization | None:
+    """The fit with one of its paths in two, if a second path about one gains more than ``least`` in log-likelihood; None
+    otherwise. Where that much is left about a path no weaker one can be looked for: it is what errors of a model would leave.
+    """
+    if data.model.subbands > 1 or not data.model.active.any():
+        return None
+    found = suspects(data, lin, noise.variance(lin))
+    for path in np.argsort(-found.statistic)[:TRIED]:
+        if found.statistic[path] < max(SUSPECT, least):
+            break
+        pair = paired(estimator, data, lin, int(path), found.step[path], noise)
+        if pair is not None and pair.stands and pair.gained > least:
+            return pair.grown
+    return None
+
+
 def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise) -> tuple[Linearization, Float]:
     """A converged fit with its pairs in two, and of those that cannot be told apart the spread (P, 6, 6): the second moment
     of the two about one path, on its tangents, 0 for single paths.
@@ -256,34 +323,28 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
     model, spread = data.model, np.zeros((len(lin.gain), 6, 6))
     if model.subbands > 1 or not model.active.any():
         return lin, spread
-    variance = noise.variance(lin)
-    rate = min(float(expected_maxima(estimator.level, estimator.volume, estimator.parameters)), 0.01)
-    pair, told = (local_level(r, estimator.parameters) for r in (max(0.1 * rate, 1e-12), TOLD))
-    found = suspects(data, lin, variance)
-    for path in np.argsort(-found.statistic):
-        if found.statistic[path] < SUSPECT or noise.clock.over:
+    found = suspects(data, lin, noise.variance(lin))
+    # About a path in a haze there is more than noise whether it is one or two.
+    evidence = found.statistic / raised(model, noise.hazes, lin.geometry, noise.variance(lin))
+    for path in np.argsort(-evidence):
+        if evidence[path] < SUSPECT or noise.clock.over:
             break
-        one = lin.geometry.take([path])
-        second = one.moved(found.step[[path]])
-        if gained_alone(data, lin, path, second, variance) < told:
+        pair = paired(estimator, data, lin, int(path), found.step[path], noise)
+        if pair is None:
             continue
-        grown = estimator._fit(data, lin.geometry.joined(second), noise)
-        gained = (grown.explained - lin.explained) / variance
-        two = grown.geometry.take([path, -1])
-        lengths = metric(lin.gram[path, :, path], model.active)
-        apart = steps_between(two.take([0]), two.take([1]))[0] * model.active
-        if gained < told or apart @ lengths @ apart > FARTHEST**2:
+        if pair.stands:
+            lin, spread = pair.grown, np.concatenate([spread, np.zeros((1, 6, 6))])
             continue
-        strength = lin.drop[path] / variance
-        needed = pair * Floor(data, grown, variance).about(one) + estimator.error_share * strength
-        separation = separated(grown, path, apart, model.active, variance)
-        if separation > SEPARATE**2 and gained > min(needed, max(LARGEST * strength, pair)):
-            lin, spread = grown, np.concatenate([spread, np.zeros((1, 6, 6))])
-            continue
-        share = grown.gain[-1] / (grown.gain[path] + grown.gain[-1])
+        apart, gain = pair.apart, pair.grown.gain
+        share = gain[-1] / (gain[path] + gain[-1])
         # What barely shows has a direction as uncertain: in the path's metric, some of the spread goes everywhere.
-        everywhere = np.linalg.pinv(lengths, rcond=1e-9, hermitian=True) * (apart @ lengths @ apart) * BLUR / gained
-        spread[path] = abs(share * (1 - share)) * (np.outer(apart, apart) + everywhere)
+        wide = (
+            np.linalg.pinv(pair.lengths, rcond=1e-9, hermitian=True)
+            * (apart @ pair.lengths @ apart)
+            * BLUR
+            / pair.gained
+        )
+        spread[path] = abs(share * (1 - share)) * (np.outer(apart, apart) + wide)
     return lin, spread
 
 

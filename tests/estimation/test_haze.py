@@ -49,7 +49,7 @@ def test_clusters_of_echoes_are_no_paths(link, nomp, decibel):
         false.append(match.false)
         found.append(match.detected.mean())
         nees += list(match.nees / 6)
-    assert np.mean(false) <= 1 and np.mean(found) >= 0.8 and 0.4 < np.mean(nees) < 2.0
+    assert np.mean(false) <= 2 and np.mean(found) >= 0.8 and 0.4 < np.mean(nees) < 2.0
 
 
 def test_without_the_haze_there_would_be_ghosts(link, nomp, monkeypatch):
@@ -67,18 +67,26 @@ def row(count, spacing, energy):
 
 
 def test_a_crowd_is_a_haze_and_a_path_in_it_stays(link):
-    crowd, energy = row(CROWD + 1, 1.5, 100.0)
+    many = CROWD[1]
+    crowd, energy = row(many + 1, 0.8, 100.0)
     energy[2] = 100.0 * 30
-    new, kept = gathered(link, (), crowd.take([0, 1, 2, 3]), energy[:4], crowd.take([4, 5]), energy[4:])
-    assert len(new) == 1 and kept.tolist() == [2] and len(new[0].members) == CROWD
+    old, young = np.arange(many - 1), np.array([many - 1, many])
+    new, kept = gathered(link, (), crowd.take(old), energy[old], crowd.take(young), energy[young], 1.0)
+    assert len(new) == 1 and kept.tolist() == [2] and len(new[0].members) == many
     # The noise about that path is that of a cell.
     assert raised(link, new, crowd.take([2]), 1.0)[0] == pytest.approx(101, rel=0.01)
-    # Few, or far apart, or explained already, are paths.
-    for count, spacing, fresh in ((CROWD - 1, 1.5, 2), (CROWD + 1, 7.0, 3), (CROWD + 1, 1.5, 1)):
+    # Few (fewer if weak), or far apart, or explained already, are paths.
+    for count, spacing, fresh, weak, hazes in (
+        (many - 1, 0.8, 2, 1.0, 0),
+        (CROWD[0], 1.5, 1, 200.0, 1),
+        (CROWD[0] - 1, 1.5, 1, 200.0, 0),
+        (many + 1, 7.0, 3, 1.0, 0),
+        (many + 1, 0.8, 0, 1.0, 0),
+    ):
         geometry, energy = row(count, spacing, 100.0)
         old, young = np.arange(count - fresh), np.arange(count - fresh, count)
-        new, kept = gathered(link, (), geometry.take(old), energy[old], geometry.take(young), energy[young])
-        assert not new and len(kept) == len(old)
+        new, kept = gathered(link, (), geometry.take(old), energy[old], geometry.take(young), energy[young], weak)
+        assert len(new) == hazes and len(kept) == (0 if hazes else len(old))
 
 
 def test_a_haze_takes_up_its_members_and_what_lies_between(link):
