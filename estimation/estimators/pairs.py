@@ -336,15 +336,13 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
             lin, spread = pair.grown, np.concatenate([spread, np.zeros((1, 6, 6))])
             continue
         apart, gain = pair.apart, pair.grown.gain
-        share = gain[-1] / (gain[path] + gain[-1])
+        length = apart @ pair.lengths @ apart
+        # Two that all but cancel have their centroid far away, but the one path is within a lobe.
+        total = gain[path] + gain[-1]
+        weight = min(abs(gain[path] * gain[-1]) / max(abs(total) ** 2, 1e-300), FARTHEST**2 / max(length, 1e-300))
         # What barely shows has a direction as uncertain: in the path's metric, some of the spread goes everywhere.
-        wide = (
-            np.linalg.pinv(pair.lengths, rcond=1e-9, hermitian=True)
-            * (apart @ pair.lengths @ apart)
-            * BLUR
-            / pair.gained
-        )
-        spread[path] = abs(share * (1 - share)) * (np.outer(apart, apart) + wide)
+        wide = np.linalg.pinv(pair.lengths, rcond=1e-9, hermitian=True) * length * BLUR / pair.gained
+        spread[path] = weight * (np.outer(apart, apart) + wide)
     return lin, spread
 
 
