@@ -92,7 +92,7 @@ CASES = [
     BASE["ring_road"],
     override(BASE["ring_road"], ["source.kind=model"]),
     override(BASE["ring_road"], [*UNUSUAL, "source.traced.impairments.gain_db=0.5"]),
-    override(BASE["ring_road"], ["filter.motion=walk"]),
+    override(BASE["ring_road"], ["filter.motion=walk", "filter.clock=drift"]),
     BASE["pedestrian"],
     override(BASE["pedestrian"], ["belief.engine=stacked"]),
     parse('name = "room"\n[scene]\ngenerator = "room"\nseed = 3\n[radio]\nbandwidth = 2e8'),

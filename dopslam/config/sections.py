@@ -264,7 +264,10 @@ class Filter(Frozen):
     # Speed and turn rate known, or in the state; walk: neither, positions and headings wander from scan to scan.
     motion: str = "known"  # a name of dopslam.filters.MOTIONS, or an own "module:Class" or "file.py:Class"
     motion_options: dict[str, Any] = Field(default_factory=dict)  # of a motion model of one's own
-    clock: Literal["walk", "free"] = "walk"  # free: the clock bias is drawn anew at every scan
+    # free: the clock bias is drawn anew at every scan; drift: its rate is off, too, and a state of its own
+    clock: Literal["walk", "free", "drift"] = "walk"
+    clock_drift_std: Spread = 30.0  # m/s, initial, of a drift; 1 ppm is 300 m/s
+    clock_drift_walk: Spread = 0.01  # m/s per step
     position_walk: Spread | None = None  # m per step of a walk; default what the speed covers in a period
     heading_walk: Spread = 0.5  # rad per step of a walk
     speed_std: Spread = 2.0  # m/s, initial, when unknown

@@ -10,6 +10,7 @@ from dopslam.config.belief import BeliefConfig
 from dopslam.config.scenario import Scenario
 from dopslam.errors import ConfigError
 from dopslam.filters import FILTERS
+from dopslam.models.clocks import DriftingClock
 from dopslam.models.detection import ConstantDetection
 from dopslam.models.motion import CoordinatedTurn, MotionModel, Told, motion_of
 from dopslam.models.probe import probed
@@ -35,7 +36,7 @@ def true_motion(scenario: Scenario) -> CoordinatedTurn:
 def motion(scenario: Scenario) -> MotionModel:
     """How the receiver moves as the filter believes it: the motion model of ``filter.motion``.
 
-    With ``filter.clock = "free"`` the clock bias is anything at every step.
+    With ``filter.clock = "free"`` the clock bias is anything at every step, with ``"drift"`` it has a rate, one more state.
     """
     true, config = true_motion(scenario), scenario.filter
     noise = np.array(true.process_noise)
@@ -48,7 +49,10 @@ def motion(scenario: Scenario) -> MotionModel:
         turn_rate=true.turn_rate,
         **{name: getattr(config, name) for name in MOTION_KEYS},
     )
-    return probed(motion_of(config.motion, told, config.motion_options), config.motion)
+    moving = probed(motion_of(config.motion, told, config.motion_options), config.motion)
+    if config.clock == "drift":
+        return DriftingClock(moving, config.clock_drift_std, config.clock_drift_walk)
+    return moving
 
 
 def start(scenario: Scenario, reading: str = "std") -> tuple[np.ndarray, np.ndarray]:

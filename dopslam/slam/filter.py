@@ -242,7 +242,7 @@ def check(chosen: Filter, problem: Problem, scans: Scans) -> None:
     if not isinstance(problem.motion, CoordinatedTurn) and not able.any_motion:
         raise FilterError(
             f"{name} carries coordinated turns only, the motion model is {type(problem.motion).__name__}; choose joint or "
-            'marginal, or set filter.motion = "known", "unknown" or "walk"'
+            'marginal, or set filter.motion = "known", "unknown" or "walk" and filter.clock = "walk" or "free"'
         )
     if problem.motion.dimension not in able.states and not able.any_motion:
         raise FilterError(
