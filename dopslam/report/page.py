@@ -211,15 +211,17 @@ def _walls_section(summary: Mapping, replay: Mapping) -> str:
         mark["name"].removeprefix("VA ") for mark in replay["landmarks"] if mark["kind"] == 1 and mark["order"] == 1
     ]
     missed = [name for name in walls if name not in found]
+    rows += [[name, "not found", "", "", ""] for name in missed[:LISTED]]
     notes = [f"{len(true) - LISTED} more were found." if len(true) > LISTED else ""]
-    if missed:
-        more = f" and {len(missed) - LISTED} more" if len(missed) > LISTED else ""
-        notes.append(f"Not found: {', '.join(missed[:LISTED])}{more}.")
+    if len(missed) > LISTED:
+        notes.append(f"{len(missed) - LISTED} more were not found.")
+    if unsure := [wall["name"] for wall in true if wall["distance_m"] > 3 * wall["std_m"]]:
+        notes.append(f"Farther off than the filter thinks possible: {', '.join(unsure[:LISTED])}.")
     if false := len(v["walls"]) - len(true):
         notes.append(f"{false} of its walls {'is' if false == 1 else 'are'} none.")
     notes.append("Off and turned are from the true wall; ± is what the filter itself says, for 95 %.")
     told = " ".join(note for note in notes if note)
-    table = f'<div class="scroll">{table_of(rows)}</div>' if true else ""
+    table = f'<div class="scroll">{table_of(rows)}</div>' if len(rows) > 1 else ""
     return f'<section><h2>Walls it found</h2>{table}<p class="note">{escape(told)}</p></section>'
 
 
@@ -253,9 +255,9 @@ def _reading(summary: Mapping) -> str:
     """How the table is read, in words."""
     near = f"{summary['found_within_m']:g} m"
     return (
-        '<p class="note">In brackets the error over its bound: 1 is the best that can be. NEES compares the errors with the '
+        '<p class="note">In brackets the error over its bound: 1 is the best that can be on average, one run may be luckier. NEES compares the errors with the '
         "filter's own covariance, 4 is right, more is overconfident. GOSPA counts missed, false and shifted landmarks, "
-        f"0 is a perfect map. VA: virtual anchor, SP: scatter point; found means within {near} at the last step.</p>"
+        f"0 is a perfect map, and one missed landmark alone makes it large. VA: virtual anchor, SP: scatter point; found means within {near} at the last step.</p>"
     )
 
 

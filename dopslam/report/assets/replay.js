@@ -222,13 +222,16 @@
     readout.textContent = text(step, filter, seen.size);
     draw();
   }
+  function length(metres) {
+    return metres < 0.1 ? (1e3 * metres).toPrecision(2) + " mm" : metres.toFixed(3) + " m";
+  }
   function text(step, filter, count) {
     let out = "step " + (step + 1) + " of " + steps + " · " + data.time[step].toFixed(1) + " s";
     if (data.rays.length) out += " · " + count + " true paths";
     if (filter) {
       const p = filter.position[step], t = data.truth && data.truth.position[step];
-      if (t) out += " · error " + Math.hypot(p[0] - t[0], p[1] - t[1]).toFixed(3) + " m";
-      else out += " · says of its position ± " + Math.hypot(...filter.factor[step]).toFixed(3) + " m";
+      if (t) out += " · error " + length(Math.hypot(p[0] - t[0], p[1] - t[1]));
+      else out += " · says of its position ± " + length(Math.hypot(...filter.factor[step]));
       const tally = {};
       filter.map[step].forEach((row) => (tally[row[3]] = (tally[row[3]] || 0) + 1));
       out += " · map: " + (Object.keys(tally).map((k) => tally[k] + " " + KIND[k] + (tally[k] > 1 ? "s" : "")).join(", ") || "empty");
