@@ -191,4 +191,4 @@ def test_slam_says_what_comes_next(run, tmp_path):
     history, series = dataset.read_record(run, "slam_joint", History), stages.read_detections(run)
     path = tmp_path / "own.h5"
     dataset.write_records(path, {"detections": series, "slam_joint": history}, dataset.read_root(run)[0], 0)
-    assert stages.after_slam(path).startswith(f"dopslam export {path} --to csv")
+    assert stages.after_slam(path).startswith(f"dopslam view {path}, or dopslam export {path} --to csv")
