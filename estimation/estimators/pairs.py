@@ -49,6 +49,8 @@ FARTHEST = 3.5
 """Paths farther apart than this in the metric are no pair of one lobe."""
 TRIED = 2
 """Paths at most that a second one is fitted to before weaker paths are looked for."""
+SETTLED = 0.6
+"""Share of what was left about a path that may still be with a second one: errors of a model are not explained by it."""
 NEIGHBOR = 0.1
 """Least coherence of paths whose own moves are reckoned with."""
 CROWD = 3
@@ -306,12 +308,16 @@ def nearest(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise
     """
     if data.model.subbands > 1 or not data.model.active.any():
         return None
-    found = suspects(data, lin, noise.variance(lin))
+    variance = noise.variance(lin)
+    found, left = suspects(data, lin, variance), Floor(data, lin, variance)
     for path in np.argsort(-found.statistic)[:TRIED]:
         if found.statistic[path] < max(SUSPECT, least):
             break
         pair = paired(estimator, data, lin, int(path), found.step[path], noise)
-        if pair is not None and pair.stands and pair.gained > least:
+        if pair is None or not pair.stands or pair.gained <= least:
+            continue
+        one = lin.geometry.take([int(path)])
+        if Floor(data, pair.grown, variance).about(one) < SETTLED * left.about(one):
             return pair.grown
     return None
 
