@@ -177,10 +177,15 @@ def wall_errors(
     return partner, distance, angle
 
 
+def _recognized(found: Walls, landmarks: Landmarks, radius: float):
+    """Partners, distances and angles of :func:`wall_errors`, and which walls lie within ``radius`` [m] and 10° of theirs."""
+    partner, distance, angle = wall_errors(found, landmarks, landmarks.position[landmarks.kind == Kind.BS][0])
+    return partner, distance, angle, (distance <= radius) & (angle <= LARGEST_TURN)
+
+
 def wall_names(found: Walls, landmarks: Landmarks, radius: float) -> list[str | None]:
     """Names of the true walls that the found ones are, within ``radius`` [m] and 10° of them; None for those of no wall."""
-    partner, distance, angle = wall_errors(found, landmarks, landmarks.position[landmarks.kind == Kind.BS][0])
-    near = (distance <= radius) & (angle <= LARGEST_TURN)
+    partner, _, _, near = _recognized(found, landmarks, radius)
     return [str(landmarks.name[p]).removeprefix("VA ") if n else None for p, n in zip(partner, near, strict=True)]
 
 
@@ -189,7 +194,7 @@ def wall_list(found: Walls, landmarks: Landmarks, radius: float) -> list[dict]:
     it, how far off it lies (``distance_m``, ``angle_deg``) and what the filter thinks of that (``std_m``).
     """
     names = wall_names(found, landmarks, radius)
-    _, distance, angle = wall_errors(found, landmarks, landmarks.position[landmarks.kind == Kind.BS][0])
+    _, distance, angle, _ = _recognized(found, landmarks, radius)
     width = np.linalg.norm(found.corners[:, 1] - found.corners[:, 0], axis=-1)
     listed = []
     for i in np.argsort(-width, kind="stable").tolist():
@@ -203,9 +208,7 @@ def wall_figures(found: Walls, landmarks: Landmarks, radius: float) -> dict:
 
     ``wall_distance_m`` and ``wall_angle_deg`` are root mean squares over the walls found; None where there are none.
     """
-    bs = landmarks.position[landmarks.kind == Kind.BS][0]
-    _, distance, angle = wall_errors(found, landmarks, bs)
-    near = (distance <= radius) & (angle <= LARGEST_TURN)
+    _, distance, angle, near = _recognized(found, landmarks, radius)
 
     def rms(values: np.ndarray) -> float | None:
         return float(np.sqrt(np.mean(values**2))) if len(values) else None

@@ -85,6 +85,7 @@ def judged(
     radius = scenario.evaluation.found_radius
     matches = None if paths is None or detections is None else match_series(scenario, track, paths, detections)
     seen = mapping.steps_seen(matches, paths, landmarks, 1.0 if detections is None else detections.threshold)
+    found = {name: walls_of(scenario, histories[name]) for name in evaluations}
     variants = {
         name: {"bound": _own_bound(scenario, name)}
         | summarize(e, landmarks, radius)
@@ -99,8 +100,8 @@ def judged(
         )
         | ({"nis_per_row": histories[name].nis_per_row} if np.isfinite(histories[name].nis_per_row) else {})
         | {"detections_passed_over": histories[name].passed_over}
-        | wall_figures(walls_of(scenario, histories[name]), landmarks, radius)
-        | {"walls": wall_list(walls_of(scenario, histories[name]), landmarks, radius)}
+        | wall_figures(found[name], landmarks, radius)
+        | {"walls": wall_list(found[name], landmarks, radius)}
         | mapping.fate(landmarks, histories[name], scenario.filter.report_existence, *seen).figures(landmarks)
         for name, e in evaluations.items()
     }

@@ -58,6 +58,7 @@ def signal_model(scenario: Scenario) -> SignalModel:
     """The model that both synthesis and estimation use: eq. (2), paper A, with swept beams and a digital receiver; or,
     digital at both ends, the channel between all elements, ``H = sum g a_R(aoa) a_T(aod)^T ...``."""
     radio = scenario.radio
+    spacing = radio.subcarrier_spacing
     transmitter = build_array(scenario.base_station.array)
     rng = np.random.default_rng(radio.beams.seed)
     if radio.beams.kind == "digital":
@@ -65,16 +66,15 @@ def signal_model(scenario: Scenario) -> SignalModel:
         # Eq. (2) has a_T^H; the phases of a wave that leaves an element are those of the element opposite, conjugated.
         transmitter = replace(transmitter, positions=-transmitter.positions)
     else:
-        spacing, size = radio.subcarrier_spacing, radio.comb
         schedule = sweep(
             _codebook(scenario, transmitter.elements, rng),
             radio.beams.sweeps,
             radio.symbol_period,
             order=radio.beams.order,
             rng=rng,
-            stagger=None if radio.stagger is None else staggered(spacing, size, radio.shifts),
+            stagger=None if radio.stagger is None else staggered(spacing, radio.comb, radio.shifts),
         )
-    spacing, pilots = radio.subcarrier_spacing, radio.pilots
+    pilots = radio.pilots
     return SignalModel(
         waveform=comb(radio.carrier_frequency, spacing, radio.subcarriers, radio.comb)
         if pilots is None

@@ -52,7 +52,8 @@ def cleared(
     strong = strong[_own(coherence(model, found.take(strong)), statistic[strong])]
     if not noise.hazes and len(lin.gain) + len(strong) < CROWD[0]:
         return None
-    energy, weak = statistic[strong] * noise.variance(lin), WEAK * nomp.level * noise.variance(lin)
+    variance = noise.variance(lin)
+    energy, weak = statistic[strong] * variance, WEAK * nomp.level * variance
     new, kept = gathered(model, noise.hazes, lin.geometry, lin.drop, found.take(strong), energy, weak)
     if not new:
         return None

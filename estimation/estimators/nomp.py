@@ -204,9 +204,8 @@ class Nomp:
         lin = None
         if start is not None and len(start):
             lin = self._eliminated(data, self._fit(data, start, noise), noise)
-        efforts, spare = self._search.efforts, None
+        efforts, spare, height = self._search.efforts, None, 0.0
         due = np.inf if self.white or model.weight is not None or model.subbands > 1 else MANY
-        heights: list[float] = []
         while efforts and not noise.clock.over:
             variance = noise.variance(lin)
             residual = filtered
@@ -235,7 +234,7 @@ class Nomp:
                 filtered = self._search.filtered(data)
                 continue
             if lin is not None and len(lin.gain) < self.max_paths and not noise.hazes:
-                better = sounder(self, data, lin, noise, float(statistic.max(initial=0.0)), heights)
+                better, height = sounder(self, data, lin, noise, float(statistic.max(initial=0.0)), height)
                 if better is not None:
                     lin = better
                     continue

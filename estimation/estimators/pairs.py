@@ -264,6 +264,7 @@ class Pair:
     gained : log-likelihood over the fit without it
     apart : (6,) tangent steps between the two
     lengths : (6, 6) metric of the path
+    left : noise about the path that the fit still leaves, of :meth:`~.floor.Floor.about`
     stands : whether it is two paths rather than a single one and the errors of a model
     """
 
@@ -271,6 +272,7 @@ class Pair:
     gained: float
     apart: Float
     lengths: Float
+    left: float
     stands: bool
 
 
@@ -280,10 +282,20 @@ def thresholds(estimator: Fitter) -> tuple[float, float]:
     return local_level(max(0.1 * rate, 1e-12), estimator.parameters), local_level(TOLD, estimator.parameters)
 
 
-def paired(estimator: Fitter, data: Projector, lin: Linearization, path: int, step: Float, noise: Noise) -> Pair | None:
-    """The fit with a second path ``step`` (6,) from a ``path``; None if it is no pair."""
+def paired(
+    estimator: Fitter,
+    data: Projector,
+    lin: Linearization,
+    path: int,
+    step: Float,
+    noise: Noise,
+    levels: tuple[float, float],
+) -> Pair | None:
+    """The fit with a second path ``step`` (6,) from a ``path``; None if it is no pair, by the ``levels`` of
+    :func:`thresholds`.
+    """
     model, variance = data.model, noise.variance(lin)
-    due, told = thresholds(estimator)
+    due, told = levels
     one = lin.geometry.take([path])
     second = one.moved(step[None])
     if gained_alone(data, lin, path, second, variance) < told:
@@ -296,10 +308,11 @@ def paired(estimator: Fitter, data: Projector, lin: Linearization, path: int, st
     if gained < told or apart @ lengths @ apart > FARTHEST**2:
         return None
     strength = lin.drop[path] / variance
-    needed = due * Floor(data, grown, variance).about(one) + estimator.error_share * strength
+    left = Floor(data, grown, variance).about(one)
+    needed = due * left + estimator.error_share * strength
     stands = gained > min(needed, max(LARGEST * strength, due))
     stands = stands and separated(grown, path, apart, model.active, variance) > SEPARATE**2
-    return Pair(grown, gained, apart, lengths, stands)
+    return Pair(grown, gained, apart, lengths, left, stands)
 
 
 def nearest(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise, least: float) -> Linearization | None:
@@ -309,15 +322,14 @@ def nearest(estimator: Fitter, data: Projector, lin: Linearization, noise: Noise
     if data.model.subbands > 1 or not data.model.active.any():
         return None
     variance = noise.variance(lin)
-    found, left = suspects(data, lin, variance), Floor(data, lin, variance)
+    found, levels, floor = suspects(data, lin, variance), thresholds(estimator), Floor(data, lin, variance)
     for path in np.argsort(-found.statistic)[:TRIED]:
         if found.statistic[path] < max(SUSPECT, least):
             break
-        pair = paired(estimator, data, lin, int(path), found.step[path], noise)
+        pair = paired(estimator, data, lin, int(path), found.step[path], noise, levels)
         if pair is None or not pair.stands or pair.gained <= least:
             continue
-        one = lin.geometry.take([int(path)])
-        if Floor(data, pair.grown, variance).about(one) < SETTLED * left.about(one):
+        if pair.left < SETTLED * floor.about(lin.geometry.take([path])):
             return pair.grown
     return None
 
@@ -329,13 +341,13 @@ def told_apart(estimator: Fitter, data: Projector, lin: Linearization, noise: No
     model, spread = data.model, np.zeros((len(lin.gain), 6, 6))
     if model.subbands > 1 or not model.active.any():
         return lin, spread
-    found = suspects(data, lin, noise.variance(lin))
+    found, levels = suspects(data, lin, noise.variance(lin)), thresholds(estimator)
     # About a path in a haze there is more than noise whether it is one or two.
     evidence = found.statistic / raised(model, noise.hazes, lin.geometry, noise.variance(lin))
     for path in np.argsort(-evidence):
         if evidence[path] < SUSPECT or noise.clock.over:
             break
-        pair = paired(estimator, data, lin, int(path), found.step[path], noise)
+        pair = paired(estimator, data, lin, int(path), found.step[path], noise, levels)
         if pair is None:
             continue
         if pair.stands:

@@ -71,6 +71,11 @@ class Linearization:
         """(P, P) normalized inner products of the signatures, as :func:`~estimation.signal.algebra.coherence`."""
         return normalized(self.gram[:, 0, :, 0])
 
+    @property
+    def overlap(self) -> Float:
+        """(P,) largest coherence of each signature with another one."""
+        return (self.coherence - np.eye(len(self.gain))).max(axis=1, initial=0.0)
+
     def sorted(self, order) -> Linearization:
         """The same with the paths in another ``order`` (P,)."""
         return Linearization(

@@ -171,8 +171,7 @@ def detections(
     with np.errstate(invalid="ignore"):
         covariance = tangent * scale[:, :, None] * scale[:, None]
     table = geometry.table(lin.gain)
-    overlap = lin.coherence - np.eye(len(snr))
-    flags[overlap.max(axis=1) > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
+    flags[lin.overlap > 0.3] |= np.uint8(Flag.CLOSE_PAIR)
     flags[snr < 1.41 * estimator.level] |= np.uint8(Flag.WEAK)
     inside = estimator.arrival_view.contains(geometry.arrival) & estimator.departure_view.contains(geometry.departure)
     inside &= model.receiver.faces(geometry.arrival) & model.transmitter.faces(geometry.departure)

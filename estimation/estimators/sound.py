@@ -19,7 +19,7 @@ from .refine import Linearization
 from .split import Fitter
 
 OVERLAP = 0.1
-"""Coherence with another path from which on a path may have been put where the two together left a peak."""
+"""Coherence with another path up to which a path's place and worth are its own."""
 
 
 class Resolver(Fitter, Protocol):
@@ -33,25 +33,26 @@ def early(lin: Linearization, energy: float) -> np.ndarray:
     """(P,) which paths were put in their places too early: they explain less than the strongest candidate, of ``energy``,
     would, and overlap with others. Taken out, they are found again if they are there.
     """
-    overlap = (lin.coherence - np.eye(len(lin.gain))).max(axis=1, initial=0.0)
-    return (lin.drop < energy) & (overlap > OVERLAP)
+    return (lin.drop < energy) & (lin.overlap > OVERLAP)
 
 
 def sounder(
-    nomp: Resolver, data: Projector, lin: Linearization, noise: Noise, strongest: float, heights: list[float]
-) -> Linearization | None:
-    """A fit to go on with before candidates, the ``strongest`` statistic of which is given, are added to this one; None if
-    it is sound. ``heights`` are what fits explained when paths were taken out of them: each time it must be more.
+    nomp: Resolver, data: Projector, lin: Linearization, noise: Noise, strongest: float, height: float
+) -> tuple[Linearization | None, float]:
+    """A fit to go on with before candidates, the ``strongest`` statistic of which is given, are added to this one, None if
+    it is sound; and what the fit explained when paths were last taken out of one: ``height`` is the same of before, and each
+    time it must be more, lest the search goes round.
     """
     variance = noise.variance(lin)
     pair = nearest(nomp, data, lin, noise, max(nomp.level, strongest)) if nomp.resolve else None
-    if pair is not None or strongest <= nomp.level:
-        return nomp._eliminated(data, pair, noise)
+    if pair is not None:
+        grown = nomp._eliminated(data, pair, noise)
+        return (grown if nomp._better(grown, lin, noise) else None), height
     again = early(lin, strongest * variance)
-    if not again.any() or again.all() or lin.explained <= max(heights, default=0.0) + nomp.level * variance:
-        return None
-    heights.append(lin.explained)
-    return nomp._eliminated(data, nomp._fit(data, lin.geometry.take(np.flatnonzero(~again)), noise), noise)
+    if strongest <= nomp.level or not again.any() or again.all() or lin.explained <= height + nomp.level * variance:
+        return None, height
+    rest = lin.geometry.take(np.flatnonzero(~again))
+    return nomp._eliminated(data, nomp._fit(data, rest, noise), noise), lin.explained
 
 
 def pruned(nomp: Resolver, data: Projector, lin: Linearization | None, noise: Noise) -> Linearization | None:
@@ -70,10 +71,10 @@ def _smaller(nomp: Resolver, data: Projector, lin: Linearization, noise: Noise) 
     """A refitted model with one component less that loses less than the threshold, if there is one."""
     variance = noise.variance(lin)
     worth = lin.drop / variance
-    overlap = (lin.coherence - np.eye(len(worth))).max(axis=1, initial=0.0)
+    overlap = lin.overlap
     for index in np.argsort(worth):
         # A component without overlap keeps its worth, and a strong one with little overlap nearly so.
-        if overlap[index] < 0.1 or worth[index] * (1 - overlap[index] ** 2) > 30 * nomp.level:
+        if overlap[index] < OVERLAP or worth[index] * (1 - overlap[index] ** 2) > 30 * nomp.level:
             continue
         rest = np.delete(np.arange(len(worth)), index)
         without = nomp._fit(data, lin.geometry.take(rest), noise)
